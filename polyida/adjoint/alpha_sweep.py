@@ -278,6 +278,7 @@ class Sweep:
             return exact
 
         def steps(functions, workspace, first, last):
+            """The result of the compiled sweep back over the steps first to last - 1, for the functions and workspace of a table."""
             return sweep_back(functions, workspace, self.method, addresses, first, last, self.memory, self.out)
 
         sweep_with_fallback(table, exact_table, done, steps)

@@ -242,6 +242,7 @@ class ReplayedState:
     """An Equilibrium, or Modes, that is computed again; state: the equilibrium, or the state of the modes."""
 
     def __init__(self, subject):
+        """Take the Equilibrium or the Modes that is computed again."""
         self.subject = subject
         self.state = subject.state if isinstance(subject, Modes) else subject
 

@@ -149,6 +149,7 @@ class _RowReset:
     held: tuple = ()
 
     def __call__(self, model, t, q, v):
+        """(q, v) behind the impact: v changes by dv, `M dv + B^T dlam = 0`, `B dv = -factors (B v + phi_t)`."""
         return q, v + model.mass_system(t, q).solve(np.zeros(model.n), model.phi_rate(t, q, v) * self.factors)[0]
 
 
@@ -171,6 +172,7 @@ class _RowFunction:
             return float((whole.phi_q(t, q) @ state.a + whole.phi_bias(t, q, v))[row])
 
         def force(s):
+            """The derivative of the force function in lam times the consistent lam at the time s later along the motion, (1,)."""
             now = t + s, q + s * v + 0.5 * s * s * state.a, v + s * state.a
             lam = self.mode.spread(consistent_acceleration(self.mode, *now)[1], whole.m)
             return np.array([self._weights(state) @ lam])
@@ -224,6 +226,7 @@ class _UserFunction:
         """dg/dt along the motion, whose accelerations are consistent."""
 
         def moved(s):
+            """The function of the event, (1,), at the time s later along the motion; with consistent a and lam if it reads these."""
             now = moved_along(state, s)
             return self._at(*now, *(consistent_acceleration(self.mode, *now) if self.of_forces else (state.a, state.lam)))
 

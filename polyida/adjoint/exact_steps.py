@@ -63,6 +63,7 @@ class ExactSteps(PythonTable, AdjointTable):
         self.scale(1.0)
 
     def _entries(self):
+        """{number of an entry: method} of the table, which has ADJOINT alone."""
         return {ADJOINT: self._solve}
 
     def _of_rates(self, factors):
@@ -183,6 +184,7 @@ class OneStageSteps(ExactSteps):
     """
 
     def __init__(self, model, to_v, to_a, counts, columns=1):
+        """Take to_v and to_a, (1, 1) each for h = 1, and make the system whose factor the steps share."""
         super().__init__(model, to_v, to_a, counts, columns=columns)
         self.saddle = ExactSaddle(model, self.to_a[0, 0], self.to_v[0, 0], counts)
         self.units = np.where(np.isin(np.arange(model.m), model.velocity_rows), self.to_v[0, 0], 1.0)
@@ -262,6 +264,7 @@ class StabilisedSteps(OneStageSteps):
         border = Border(X)
 
         def solve(right, below, b_q):
+            """(w, mu, kappa) for the right-hand sides `right` and `below`; the last rows take b_q."""
             self.counts.solves += 1
             w, multipliers = border.solve(lu.solve(right), rows, np.concatenate([below, -L.T @ b_q]), corner)
             return w, multipliers[:m], multipliers[m:]

@@ -139,6 +139,7 @@ class CheckpointedStates:
     """
 
     def __init__(self, again, recorder):
+        """Take the checkpoints of a StepRecorder, and the states if all of them are in memory."""
         self.again = again
         self.checkpoints, self.end = recorder.checkpoints, recorder.last
         self.states = {} if recorder.states is None else recorder.states

@@ -41,6 +41,7 @@ class _Part:
     value = 0.0
 
     def __init__(self, slopes, first, count, columns):
+        """Take the Slopes of the run; first, count: of the motion's frames; columns: its multipliers among those of the run."""
         self.of_run, self.first, self.count, self.columns = slopes, first, count, columns
         self.end = None
 

@@ -91,6 +91,7 @@ class _LawTotals:
     """The Totals of the whole model, for a mode of its rows with laws."""
 
     def __init__(self, totals, mode, m):
+        """Take the Totals of the whole model, which has m rows, and one of its modes."""
         self.totals, self.mode, self.m = totals, mode, m
         self.add_own = totals.add_own
 
@@ -111,6 +112,7 @@ class _ModeTotals:
     """
 
     def __init__(self, totals, held, parameters, holds):
+        """Take the Totals of the run, and the parameters and the Holds of one mode."""
         self.totals, self.held, self.parameters, self.holds = totals, held, parameters, holds
         self.add_own = totals.add_own
 
@@ -163,6 +165,7 @@ class _OfWhole:
     changes_coordinates = False  # else a run with events has refused it
 
     def __init__(self, parameter, mode, m):
+        """Take a parameter of the whole model, which has m rows, and one of its modes."""
         self.parameter, self.mode, self.m = parameter, mode, m
 
     def prepare(self, works):

@@ -38,6 +38,7 @@ class SharedStates(list):
     """AdjointMultipliers of several objectives at the same states. w (k, columns, n): all their w; by default a copy of these."""
 
     def __init__(self, works, w=None):
+        """Take the AdjointMultipliers of each objective; w: all their w if they are in one array already."""
         super().__init__(works)
         self.w = np.stack([work.w for work in works], axis=1) if w is None else w
 
@@ -185,6 +186,7 @@ def of_all_parts(change):
 
     @wraps(change)
     def of_mode(model, *arguments):
+        """The changed copy of a model of all parts; for a mode, the same mode of the changed copy of its whole model."""
         return change(model, *arguments) if model.whole is None else change(model.whole, *arguments).mode_like(model)
 
     return of_mode

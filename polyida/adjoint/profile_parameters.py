@@ -48,6 +48,7 @@ def slope_over(profile, profile_at, scale, speeds, orders, t):
         t[at_kink] = [_beside_kink(profile, at) for at in t[at_kink].tolist()]
 
     def table(s):
+        """`profile_at(s)` in these orders, (k, orders), at the times t moved along with the kinks."""
         near = profile_at(s)
         return np.stack([over(near, t + s * moved, order) for order in orders], axis=1)
 
@@ -111,6 +112,7 @@ def _add_products(model, work, result):
     first, other, rows = s.product_first[turned], s.product_second[turned], s.product_row[turned]
 
     def moved(x):
+        """Changes (count, products) of both vectors of each product along x (count, n), complex; the drive turns the first one."""
         z = complex_of_pairs(x.reshape(len(x), -1, 2)[:, used])
         return turn * (z @ of_first), z @ of_other
 
@@ -171,6 +173,7 @@ def _add_element(model, name, element, work, result):
             of_time, size = getattr(profile, function), max(1.0, np.abs(over(profile, work.t, order)).max())
 
             def pushed(s, profile=profile, function=function, of_time=of_time):
+                """The work of the element, (k,), if s is added to this function of the profile: its value, rate or second derivative."""
                 other = replace(profile, formula=(), **{function: lambda t: of_time(t) + s})
                 return element_work(own, part_with_profile(element, profile, other), work)
 

@@ -86,6 +86,7 @@ class RadauAdjoint(RunAdjoint):
         from polyida.adjoint.scene_table import EXACT, SceneAdjoint
 
         def factor(t, q, v, a, lam, h):
+            """The factors of all modes of the tableau for steps of h, made at one state."""
             factors, self.counts.backend = factors_of_modes(model, self.tableau.modes, h, np.concatenate([[t], q, v, a, lam]))
             return [x for x in factors.values() if x]
 

@@ -16,6 +16,7 @@ def _(model: TapedModel, function, t, q):
     """The slope of a function along q on a tape, with its own derivative by differences."""
 
     def back(adjoint):
+        """Add `H adjoint` to the adjoint of q, by differences; H is the second derivative of the function in q."""
         add_to(q, along(lambda s: slope_of(model.model, function, t, q.value + s * adjoint), reach_along(q.value, adjoint)))
 
     return model.tape.record([slope_of(model.model, function, t, q.value)], back)[0]
@@ -26,6 +27,7 @@ def _(model: TapedModel, function, t, q, v):
     """The rate of a function along the motion on a tape, with its derivatives by differences."""
 
     def back(adjoint):
+        """Add the derivatives of the rate times its adjoint: the rate of the slope for q, the slope itself for v."""
         here = lambda s: slope_of(model.model, function, t + s, q.value + s * v.value)  # noqa: E731
         add_to(q, adjoint * along(here, reach_along(q.value, v.value)))
         add_to(v, adjoint * here(0.0))
@@ -48,6 +50,7 @@ def _(model: TapedModel, given, t, q, v, a, lam):
         """Add the slopes of `adjoints . change` in q, v, a and lam, by differences."""
 
         def change(*state):
+            """The sum of the products of the adjoints with what the functions give at the nearest permitted state, (1,)."""
             return np.array([sum(float(adjoint @ x) for adjoint, x in zip(adjoints, on_constraints(mode, given, t, *state)))])
 
         for k, one in enumerate((q, v, a, lam)):

@@ -59,12 +59,15 @@ class Gradient:
         return self.slopes[name]
 
     def __iter__(self) -> Iterator[str]:
+        """Iterate over the names of the parameters."""
         return iter(self.slopes)
 
     def __len__(self):
+        """Return the number of parameters that have slopes."""
         return len(self.slopes)
 
     def __contains__(self, name):
+        """Return True if the parameter of this name has a slope."""
         return name in self.slopes
 
     def keys(self) -> KeysView[str]:
@@ -76,11 +79,13 @@ class Gradient:
         return self.slopes.items()
 
     def __repr__(self):
+        """Return J, the slopes of scalar parameters, the names of the others, and the names left out, in one line."""
         more = f"; left out, to be asked for by name: {counted(self.left_out)}" if self.left_out else ""
         slopes = counted(name if np.ndim(slope) else f"{name}: {slope:.6g}" for name, slope in self.slopes.items())
         return f"Gradient(value={self.value:.9g}, {slopes}{more})"
 
     def _repr_html_(self):
+        """Return an HTML table of all slopes, and of the reasons of those left out, for notebooks."""
         rows = [(name, np.shape(slope) or "", short(slope)) for name, slope in self.slopes.items()]
         rows += [(name, "", f"left out: {why}") for name, why in self.left_out.items()]
         return table(f"J = {self.value:.9g}", ("parameter", "shape", "dJ/dp"), rows)
@@ -176,6 +181,7 @@ class OwnSlopes:
     """An objective's Slopes by the states of a history, some of which are frames of the run."""
 
     def __init__(self, objective, run, frames, totals):
+        """Take the values and Slopes of an objective of a run; frames: number of the frame of each state, negative for none."""
         self.objective, self.run, self.frames, self.totals = objective, run, frames, totals
         self.slopes = objective.slopes(run)
         self.value = float(self.slopes.value if hasattr(self.slopes, "value") else objective(run))
@@ -192,6 +198,7 @@ class OwnSlopes:
             return own
 
         def at_all(slopes):
+            """The rows of slopes of frames at their states, (states, ...), zero at all other states."""
             result = np.zeros((len(frames), *slopes.shape[1:]))
             result[frames >= 0] = slopes
             return result
@@ -323,6 +330,7 @@ def together(sweeps, progress):
     results = []
 
     def steps():
+        """Sweep back over all stretches: yield times for `progress`, and store the adjoints of the first state."""
         results.extend((yield from sweeps[0].stretches_backward(sweeps)))
 
     for t in steps():

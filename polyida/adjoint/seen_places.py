@@ -18,6 +18,7 @@ class SeenPlaces:
     """
 
     def __init__(self, happenings, event, mode, resets, causes):
+        """Take the events of one time; a copy of the happenings stays in the mode before them."""
         self.event, self.mode, self.resets, self.causes = event, mode, resets, causes
         self.happenings = copy(happenings)  # in the mode before: it goes on
         self.happenings.mode = mode
@@ -59,6 +60,7 @@ def part_of(one, old, new):
     names = {id(part): name for name, part in old.parts.items()}
 
     def moved(part):
+        """The part of the same name in the new model for a part of the old one; anything else as it is."""
         return new.parts[names[id(part)]] if id(part) in names else part
 
     if isinstance(one, Attachment):
@@ -80,6 +82,7 @@ def with_parts_of(event, old, new):
         return event
 
     def other(one):
+        """An action of the event for the new model; a function sees the places of the new model."""
         part = part_of(one, old, new)
         return seeing(one, old, new) if part is one and callable(one) else part
 
@@ -95,10 +98,12 @@ class _Seen:
     """A Moment of a model whose places are asked for by parts of another."""
 
     def __init__(self, moment, old, new):
+        """Take a Moment of the model `new`, whose user names parts of the model `old`."""
         self._moment = moment
         self._models = (old, new)
 
     def __getattr__(self, name):
+        """Anything else that the Moment has, such as its time."""
         return getattr(self._moment, name)
 
     def position(self, name):

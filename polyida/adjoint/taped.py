@@ -18,6 +18,7 @@ class Tape:
     """Records of operations in order; `back` processes them in reverse."""
 
     def __init__(self):
+        """Begin without records, which are pairs (results, function back)."""
         self.records = []
 
     def var(self, value):
@@ -50,6 +51,7 @@ class Var:
     __array_ufunc__ = None  # numpy leaves sums and products to this class
 
     def __init__(self, tape, value):
+        """Put a value, an array or a number, on a tape, with a zero adjoint."""
         self.tape, self.value = tape, value
         self.adjoint = np.zeros_like(value)
 
@@ -57,18 +59,22 @@ class Var:
         """The vector with this value, a sum of terms (vector, factor)."""
 
         def back(adjoint):
+            """Add the adjoint of the sum, times its factor, to each term."""
             for thing, factor in terms:
                 add_to(thing, factor * adjoint)
 
         return self.tape.record([value], back)[0]
 
     def __add__(self, other):
+        """The sum with a vector on the tape, an array or a number."""
         return self._sum(self.value + value_of(other), (self, 1.0), (other, 1.0))
 
     def __sub__(self, other):
+        """The difference to a vector on the tape, an array or a number."""
         return self._sum(self.value - value_of(other), (self, 1.0), (other, -1.0))
 
     def __rsub__(self, other):
+        """An array or a number less this vector, on the tape."""
         return self._sum(other - self.value, (self, -1.0))
 
     def __mul__(self, factor):
@@ -77,6 +83,7 @@ class Var:
             return self._sum(factor * self.value, (self, factor))
 
         def back(adjoint):
+            """Add the adjoint times the other factor to each factor, summed if that is a number."""
             for one, other in ((self, factor), (factor, self)):
                 product = other.value * adjoint
                 add_to(one, product if np.ndim(one.value) else np.sum(product))
@@ -89,6 +96,7 @@ class Var:
             return self * (1.0 / divisor)
 
         def back(adjoint):
+            """Add the adjoint times `1/divisor` to this number and times `-value/divisor^2` to the divisor."""
             add_to(self, adjoint / divisor.value)
             add_to(divisor, -adjoint * self.value / divisor.value**2)
 
@@ -98,15 +106,18 @@ class Var:
         """The scalar product with a vector on the tape."""
 
         def back(adjoint):
+            """Add the adjoint, a number, times the other vector to each of the two vectors."""
             add_to(self, adjoint * other.value)
             add_to(other, adjoint * self.value)
 
         return self.tape.record([self.value @ other.value], back)[0]
 
     def __gt__(self, other):
+        """Compare the value with a number; the tape records nothing."""
         return bool(self.value > other)
 
     def __neg__(self):
+        """The negative of the vector, on the tape."""
         return self * -1.0
 
     def any(self):
@@ -216,6 +227,7 @@ def pulled_back(model, state, function, adjoints):
 
 class _Rows:
     def __init__(self, taped, t, q):
+        """Take a TapedModel, the time, and q, which may be on the tape: B = phi_q there."""
         self.taped, self.t, self.q = taped, t, q
 
     def __matmul__(self, x):
@@ -236,6 +248,7 @@ class _MassSystem:
     """`M dq + B^T dlam = -r`, `B dq = -phi`, which is symmetric."""
 
     def __init__(self, taped, t, q):
+        """Take a TapedModel, and factor the system at (t, q); q may be on the tape."""
         self.taped, self.t, self.q = taped, t, q
         self.system = taped.model.mass_system(t, value_of(q))
 
@@ -287,6 +300,7 @@ def _(model: TapedModel, settings, state, h):
         y, eta = system.solve(c_m * (mass @ value_of(x)), border @ value_of(x))
 
         def back(adjoint):
+            """Solve the transposed system for alpha and nu, and add the slopes of F x in x and in the state."""
             alpha, nu = system.solve(adjoint, np.zeros(model.m), transposed=True)
             add_to(x, c_m * (mass @ alpha) + border.T @ nu)
             _add_derivative_along(model, state, (y, c_v * y, c_m * (y - value_of(x)), eta), alpha, nu, y - value_of(x))
@@ -334,6 +348,7 @@ def _(model: TapedModel, t, q):
 
 @velocity_rate.register
 def _(model: TapedModel, t, q, v):
+    """The rate of the constraints, `phi_q v + phi_t`, on the tape, (m,); empty without constraints."""
     return model.phi_rate(t, q, v) if model.m else np.zeros(0)
 
 

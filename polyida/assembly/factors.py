@@ -127,6 +127,7 @@ class CellSums:
     """
 
     def __init__(self, entries, cells, values):
+        """Take entry, cell and value of each summand, (summands,) each; none if all values are zero."""
         some = slice(None if values.any() else 0)
         self.entries, self.cells, self.values = entries[some], cells[some], values[some]
 

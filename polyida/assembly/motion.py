@@ -138,6 +138,7 @@ def _warn_of_change(model, R, prescribed, change):
     M, changed, bodies = model.mass(np.zeros(model.n)), prescribed + change, model.all_bodies
 
     def energy(w):
+        """Twice the kinetic energy, J, of rigid motions w, (3 bodies,), with the velocities R w."""
         return (R @ w) @ (M @ (R @ w))
 
     if not energy(change) > CHANGED**2 * energy(prescribed) > CHANGED**4 * energy(changed):

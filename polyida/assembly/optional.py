@@ -133,4 +133,5 @@ def optional_kernels(model, *wanted):
 
 
 def _parts(model):
+    """The Parts of a scene that the optional kernels read: arrays, force elements and the number of profiles."""
     return Parts(model.arrays, model.laws, len(model.profiles))

@@ -94,6 +94,7 @@ class OwnForce:
         first, x, v = len(s), x[self.own_sides], v[self.own_sides]
 
         def rates(free):
+            """What is zero for the algebraic states `free`, at the given other states, places and velocities."""
             whole = np.append(s, free)
             return self._call("rates", whole.shape, t, x, v, whole, *outputs)[first:]
 
@@ -181,6 +182,7 @@ class OwnForce:
         reach, result = NEAR * np.broadcast_to(self.sizes, x.shape).ravel(), np.zeros((x.size, x.size))
 
         def change(s):
+            """`moved(d)` as a vector; the first entries of d are s times small changes of the coordinates."""
             d = np.zeros(x.size)
             d[:columns] = reach[:columns] * s
             return moved(d.reshape(x.shape)).ravel()
@@ -215,9 +217,11 @@ class Elastic(OwnForce):
         self.sizes = np.full((len(self.rest), 1), float(abs(self.rest).max()) or 1.0)
 
     def velocities(self, v):
+        """Return the velocities of the body's pairs, (pairs, 2), from v (n,)."""
         return v[self.columns].reshape(-1, 2)
 
     def forces(self, t, x, v):
+        """Return the forces on the body's pairs, (pairs, 2): minus `elastic` of its complex coordinates x (pairs, 2)."""
         return -pairs_of(self._call("elastic", (len(x),), x @ (1, 1j), numbers=complexes))
 
     def conservative(self, t, x):
@@ -225,6 +229,7 @@ class Elastic(OwnForce):
         return self.forces(t, x, x)
 
     def energy(self, x, v=None):
+        """Return the elastic energy, J, at the coordinates x (pairs, 2); it does not depend on v."""
         return super().energy(x @ (1, 1j))
 
     def slopes(self, t, x, v, c_v, c_q):

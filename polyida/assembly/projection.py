@@ -63,6 +63,7 @@ class MassSystem:
     """`[[M, B^T], [B, 0]]` of a scene at (t, q), B = phi_q. Each thread has its own workspace."""
 
     def __init__(self, model, t, q):
+        """Take phi_q at (t, q), in the points of the joints, and the workspace of this thread."""
         self.model, own = model, vars(model.once(_threads))
         self.projection = own.get("projection") or own.setdefault("projection", constraint_projection(model))
         self.slopes = model.slope_values(t, q)
@@ -80,6 +81,7 @@ class MassSystem:
 
 
 def _threads(model):
+    """Storage of a model for the workspace of each thread."""
     return threading.local()
 
 

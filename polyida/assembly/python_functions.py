@@ -30,6 +30,7 @@ class Calls:
     """
 
     def __init__(self):
+        """Begin without exceptions, without known results and without callbacks."""
         self._errors: dict[int, BaseException] = {}
         self.known: dict[tuple, Any] = {}
         self.count = 0
@@ -61,6 +62,7 @@ class PythonFunctions:
     """
 
     def __init__(self, name, part):
+        """Take the part that has the functions, and its name for messages."""
         self.name, self.part, self.not_finite = name, part, ""
 
     def call(self, function, shape, *arguments, numbers=reals):
@@ -162,6 +164,7 @@ class Argument:
     """An argument of a C function, at the address with a number: a number, or an array of a shape. is_read: True if results depend on it."""
 
     def __init__(self, letter, shape=(), of_complex=False, is_read=True):
+        """Take shape and type; letter: one of t, b, c, d and e, which says at which address the argument is."""
         self.number, self.shape, self.is_read = "__tbcde".index(letter), shape, is_read
         self.kind = complex if of_complex else float
         self.size = np.dtype(self.kind).itemsize * prod(shape)

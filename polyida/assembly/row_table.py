@@ -30,6 +30,7 @@ class RowTable:
     """
 
     def __init__(self, points, drives, size, left_out=()):
+        """Begin without rows; left_out: numbers of the rows that `add` omits."""
         self._points, self._drives, self._size, self._left_out, self._count = points, drives, size, frozenset(left_out), 0
         self._products, self._vectors, self._constants, self._slopes, self._shifts = [], [], [], [], []
         self.labels, self.units, self.rows, self.joints, self._velocity_rows, self.laws, self.edges = [], [], {}, {}, [], [], []
@@ -145,6 +146,7 @@ class Points:
     """Collects weighted sums of pairs of q; equal sums are one point. places: {id of a body: PlacedPlate or PlacedBody}."""
 
     def __init__(self, places):
+        """Begin without points; places: {id of a body: where its coordinates are in q}."""
         self._places, self._numbers = places, {}
         self.nodes, self.weights, self.mass, self.turns = [], [], [], []
 
@@ -167,6 +169,7 @@ class Drives:
     """Collects the profiles of a scene, each once. names: of the part that added a profile first."""
 
     def __init__(self):
+        """Begin without profiles and without names of parts."""
         self.profiles, self.names = [], []
 
     def add(self, profile, name):
@@ -225,8 +228,10 @@ def _how_to_close(part, apart=True):
 
 
 def _at_rest(row):
+    """The value of a row of phi in the reference configuration, without slopes of points and profiles."""
     return row.constant + sum(map(_value_at_rest, row.products))
 
 
 def _value_at_rest(product):
+    """The scalar product of the two vectors of a product in the reference configuration."""
     return (product.rotated.rest.conjugate() * product.unrotated.rest).real

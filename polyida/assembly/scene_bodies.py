@@ -31,6 +31,7 @@ class SceneBodies(Constraints):
 
     @cached_property
     def _mass(self):
+        """M, (n, n), CSC: the mass that is equal for x and y, and the uneven mass."""
         even = on_pairs(self._even_mass).tocsc()
         return even if self.uneven_mass is None else even + self.uneven_mass
 
@@ -64,6 +65,7 @@ class SceneBodies(Constraints):
 
     @cached_property
     def _mass_factor(self):
+        """The factor of the mass that is equal for x and y, (pairs, pairs), made once."""
         return LU(self._even_mass)
 
     @cached_property

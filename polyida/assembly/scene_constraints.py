@@ -57,12 +57,15 @@ class Constraints(Model):
 
     @cached_property
     def _kinks(self):
+        """All times, s, at which a profile is not smooth, sorted."""
         return np.unique(np.array([kink for profile in self.profiles for kink in profile.kinks], float))
 
     def constraint_name(self, row):
+        """Return the name of a row of phi for messages."""
         return self.labels[row]
 
     def keeps_body(self, row):
+        """Return True if a row of phi belongs to a body of few coordinates, which it keeps rigid."""
         return any(self.rows[body.name].start <= row < self.rows[body.name].stop for body in self.reduced_bodies if body.name in self.rows)
 
     def phi(self, t, q):
@@ -72,6 +75,7 @@ class Constraints(Model):
         return phi
 
     def facing(self, q):
+        """Return the model in which edges of plates face what they face at q, whatever moves; itself if no contact has edges."""
         return self.altered(_facing=(None, self._links(self.dz(q)))) if self.edge_rows else self
 
     def _links(self, dz):
@@ -90,6 +94,7 @@ class Constraints(Model):
 
     @cached_property
     def _phi_q(self):
+        """phi_q, (m, n) sparse, of a scene in which it is constant."""
         return self._slopes(0.0, np.zeros(self.n)) @ self._points_of_q
 
     @cached_property
@@ -138,26 +143,33 @@ class Constraints(Model):
 
     @cached_property
     def _points_of_q_transposed(self):
+        """A^T, (n, 2 points), as sparse rows; made once."""
         return self._points_of_q.T.tocsr()
 
     @cached_property
     def _slope_rows(self):
+        """The row of phi of each of the `slope_values`, (entries,)."""
         return np.repeat(np.arange(self.m), np.diff(self.arrays.links.row_start))
 
     @cached_property
     def _small_points(self):
+        """A, (2 points, n), as a dense array; made once."""
         return self._points_of_q.toarray()
 
     def phi_t(self, t, q):
+        """Return the partial derivative of phi in time, (m,)."""
         return self._rates(t, q, np.zeros(self.n))[0] if self.needs.driven else np.zeros(self.m)
 
     def phi_rate(self, t, q, v):
+        """Return d phi/dt = `phi_q v + phi_t`, (m,)."""
         return self._rates(t, q, v)[1]
 
     def phi_bias(self, t, q, v):
+        """Return `(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,); zero if phi_q is constant."""
         return self._rates(t, q, v)[2] if self.needs.driven or self.needs.phi_q_varies else np.zeros(self.m)
 
     def _rates(self, t, q, v):
+        """phi_t, `phi_q v + phi_t` and phi_bias at (t, q, v), as the rows of one array (3, m)."""
         rates, dz = np.zeros((3, self.m)), self.dz(q)
         joints.joint_rates(self._links(dz), self.drives(t), dz, self.dz(v), *rates)
         return rates
@@ -171,12 +183,15 @@ class Constraints(Model):
         return phi, rates
 
     def phi_rate_q(self, t, q, v):
+        """Return d(phi_q v + phi_t)/dq, (m, n), exact differences."""
         return self._rates_q(t, q, v, 1)
 
     def phi_bias_q(self, t, q, v):
+        """Return the derivative of phi_bias in q, (m, n), by exact differences."""
         return self._rates_q(t, q, v, 2)
 
     def phi_bias_v(self, t, q, v):
+        """Return the derivative of phi_bias in v, (m, n), by exact differences."""
         return self._rates_q(t, q, v, 2, 0.0, 1.0)
 
     def _rates_q(self, t, q, v, which, of_q=1.0, of_v=0.0):
@@ -184,6 +199,7 @@ class Constraints(Model):
         drives, z, vz, steps = self.drives(t), self.dz(q), self.dz(v), np.eye(2 * self.n_points).reshape(-1, self.n_points, 2)
 
         def at(step):
+            """The result (m,) of `joint_rates` with the points, or their velocities, moved by a step (points, 2)."""
             rates = np.zeros((3, self.m))
             joints.joint_rates(self.arrays.links, drives, z + of_q * step, vz + of_v * step, *rates)
             return rates[which]
@@ -220,6 +236,7 @@ class Constraints(Model):
         return _sized(q, self.n, "q").reshape(-1, 2)
 
     def _flat(self, lam):
+        """lam as (m,) for the kernels, which do not check bounds."""
         return _sized(lam, self.m, "lam")
 
     @property

@@ -205,6 +205,7 @@ class SceneModel(SceneBodies):
         return self.altered(cached - kept, _modes={})
 
     def _late_joints(self):
+        """{name: joint} of the joints that events add; a place of the other side stands for plain `ground`."""
         return {name: self.parts[name].facing() for name in self.late or () if isinstance(self.parts[name], Joint)}
 
     def _assemble(self, held, left_out=()):
@@ -241,10 +242,12 @@ class SceneModel(SceneBodies):
         return float(np.hypot(*largest))
 
     def __repr__(self):
+        """Return the numbers of coordinates, rows of phi, bodies and joints, in one line."""
         bodies, joints = len(self.all_bodies), len(self.joints)
         return f"<SceneModel: n = {self.n}, m = {self.m}, {bodies} bod{'ies' if bodies != 1 else 'y'}, {joints} joint{'s' * (joints != 1)}>"
 
     def __reduce__(self):
+        """Return what pickle needs to make the model again: its parts, options and factors of cells."""
         arguments = self.parts, self.gravity, self.treats_redundant, self.without_strains, self.late
         return _unpickled, (type(self), *arguments, given_factors(self))
 
@@ -306,6 +309,7 @@ class SceneModel(SceneBodies):
         return r.ravel(), phi, rotation, det, cosine
 
     def residual(self, t, q, v, a, lam):
+        """Return `r = M a + g + phi_q^T lam`, (n,), and keep the nodal rotations at q."""
         r, _, rotation, *_ = self.evaluate(t, q, a, lam, np.empty((self.n_nodes, 2)))
         r, self._rotated[0] = self._with_forces(t, q, v, r), (np.array(q), rotation)
         return r if self.uneven_mass is None else r + self.uneven_mass @ a
@@ -345,6 +349,7 @@ class SceneModel(SceneBodies):
 
     @property
     def hidden(self):
+        """Columns of q of all first-order states and of the relaxing strains of viscoelastic plates, (k,) int."""
         placed = [*self.states.values(), *self.strains.values()]
         return np.concatenate([np.zeros(0, np.int64), *(np.arange(2 * one.pairs.start, 2 * one.pairs.stop) for one in placed)])
 
@@ -352,6 +357,7 @@ class SceneModel(SceneBodies):
         """Return the sorted times in (t0, t1) at which controllers sample."""
 
         def of_period(period):
+            """The multiples of a period, s, that lie in (t0, t1), sorted."""
             times = (k * period for k in count(floor(t0 / period)))
             return takewhile(lambda t: t < t1, dropwhile(lambda t: t <= t0, times))
 
@@ -368,16 +374,20 @@ class SceneModel(SceneBodies):
         return after
 
     def gaps(self, t, q):
+        """Return the switching functions (k,) of the force elements at q, such as distances."""
         return np.concatenate([own.gaps(q) for own in self.own_forces if own.switches]) if self.switching else np.zeros(0)
 
     def gap_names(self):
+        """Return for each of `gaps` the name of its force element, in quotes."""
         return [repr(own.name) for own in self.own_forces if own.switches for _ in own.gaps(np.zeros(self.n))]
 
     @property
     def not_finite(self):
+        """The functions of force elements that last gave numbers that are not finite, in words; empty if none did."""
         return " and ".join(own.not_finite for own in self.own_forces if own.not_finite)
 
     def force(self, t, q, v):
+        """Return the force g, (n,): r at a = 0 and lam = 0, with damping and force elements."""
         return self._with_forces(t, q, v, self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))[0])
 
     def force_change(self, t, q, before, after):
@@ -391,9 +401,11 @@ class SceneModel(SceneBodies):
         return v
 
     def force_q(self, t, q, v):
+        """Return the derivative dg/dq of the force, (n, n) sparse."""
         return self._forces_q(t, q, v, 0.0, 1.0)
 
     def force_v(self, t, q, v):
+        """Return the derivative dg/dv of the force, (n, n) sparse."""
         return self._forces_q(t, q, v, 1.0, 0.0)
 
     def _forces_q(self, t, q, v, c_v, c_q):
@@ -527,9 +539,11 @@ class SceneModel(SceneBodies):
 
     @property
     def dissipating(self):
+        """Names of the `powers` that only take energy."""
         return self.once(Powers).dissipating
 
     def powers(self, t, q, v, lam):
+        """Return {name: power, W} of external work and of forces without a part in `potential`."""
         return self.once(Powers)(t, q, v, lam)
 
     @cached_property
@@ -559,10 +573,12 @@ class SceneModel(SceneBodies):
 
 
 def _dense_mass(model):
+    """M of a scene as a dense array, (n, n)."""
     return model.mass().toarray()
 
 
 def _unpickled(kind, parts, gravity, redundant, without_strains, late, factors):
+    """The model of a class made from parts, options and factors of cells, for pickle."""
     model = kind(parts, gravity, redundant, without_strains, late)
     return model.with_factors(**factors) if factors else model
 

@@ -22,6 +22,7 @@ class SceneStepMatrix(StepMatrix):
     near_any_state, caution = True, 1.0
 
     def __init__(self, model):
+        """Take the model of a scene, and count the solves for its border; nothing is factored yet."""
         super().__init__(model)
         self.solves, self.corotated = columns_together(model.once(border, of_shape=True)), None
 

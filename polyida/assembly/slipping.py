@@ -26,4 +26,5 @@ class SlippingScene(Slipping, SceneModel):
         return mode
 
     def reaction_q(self, t, q, lam):
+        """Return d(phi_q^T lam)/dq of all rows of the scene, (n, n), lam with the friction that rows of the mode cause."""
         return self.origin.reaction_q(t, q, self.forces_of_all(lam))

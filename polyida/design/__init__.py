@@ -32,4 +32,5 @@ __all__ = [
 
 
 def __dir__():
+    """Return the public names of the package."""
     return __all__

@@ -133,6 +133,7 @@ class Design:
         return self.problem.cases[case].ran(self.model(case))
 
     def __repr__(self):
+        """Return the objective, the limits and the message, in one line."""
         limits = "".join(f"; {name} {value:.4g} <= {upper:.4g}" for name, (value, upper) in self.limits.items())
         return f"Design(objective={self.objective:.6g}{limits}; {self.message})"
 

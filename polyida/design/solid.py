@@ -64,6 +64,7 @@ class SolidDesign:
     excess: float
 
     def __repr__(self):
+        """Return how the edges were chosen, the excess over limits, and the table."""
         words = "from given meshes" if np.isnan(self.at) else f"density from {self.at:g}"
         return f"SolidDesign({words}, {limits_in_words(self.excess)})\n{self.table}"
 

@@ -261,6 +261,7 @@ class BuiltSize(Parameter):
 
     @cached_property
     def _models(self):
+        """{change of the argument: model built with it}; each model is kept."""
         return {}
 
     def _model(self, s):

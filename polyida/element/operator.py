@@ -223,6 +223,7 @@ def _blocks(group, place):
 
 
 def _integers(array):
+    """A copy of an array as integers of 32 bits."""
     return np.array(array, dtype=np.int32)
 
 

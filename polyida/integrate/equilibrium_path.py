@@ -68,6 +68,7 @@ class EquilibriumPath:
     __repr__ = brief
 
     def __len__(self) -> int:
+        """Return the number of points of the path."""
         return len(self.states)
 
     @property
@@ -124,6 +125,7 @@ class ArcLength:
     """Steps along the equilibria of a Loading."""
 
     def __init__(self, loading: Loading):
+        """Take the loading; the squares of coordinates count in the length by their typical sizes."""
         self.loading = loading
         sizes = coordinate_sizes(loading.model, np.zeros(loading.model.n))
         self.weights = sizes**-2 / np.sum(sizes**-2)

@@ -78,6 +78,7 @@ class Stretch:
     spent = _last = None
 
     def __init__(self, t, q, v, a, lam, last=None):
+        """Take the arrays of all states; last: the last one as a State, if a run can continue from it."""
         self.t, self.q, self.v, self.a, self.lam, self._last = t, q, v, a, lam, last
 
     @classmethod
@@ -86,9 +87,11 @@ class Stretch:
         return Alone(state)
 
     def __len__(self):
+        """Number of states in the stretch."""
         return len(self.t)
 
     def __iter__(self):
+        """Iterate over the States of the stretch."""
         return map(self.state, range(len(self)))
 
     @property
@@ -103,6 +106,7 @@ class Stretch:
         return self.last if k == len(self) - 1 else self._state(k)
 
     def _state(self, k):
+        """The State number k, without the memory from which a run continues."""
         return State(float(self.t[k]), self.q[k], self.v[k], self.a[k], self.lam[k], restart=False)
 
     def part(self, first, end, every=1):
@@ -125,14 +129,17 @@ class Alone(Stretch):
     """The Stretch of one State. Its vectors are computed when they are first read."""
 
     def __init__(self, state):
+        """Take the State that is alone in the stretch."""
         self._last = state
 
     def __getattr__(self, name):
+        """t, q, v, a or lam of the State with a first axis of length 1."""
         if name not in ("t", "q", "v", "a", "lam"):
             raise AttributeError(name)
         return np.asarray(getattr(self._last, name))[None]
 
     def __len__(self):
+        """Number of states, which is always 1."""
         return 1
 
     def finite(self):
@@ -144,12 +151,15 @@ class States:
     """Iterator over the single states of stretches. counts.steps is the number of each state when it is yielded. stretches: their source."""
 
     def __init__(self, stretches, counts):
+        """Take the iterator of stretches, and the counts that are to follow the single states."""
         self.stretches, self._states = stretches, (part.last for stretch in stretches for part in parted(stretch, counts))
 
     def __iter__(self):
+        """The iterator itself, as Python asks of iterators."""
         return self
 
     def __next__(self):
+        """The next single State; the counts are those up to it."""
         return next(self._states)
 
 
@@ -358,20 +368,25 @@ class _Adapter(Integrator):
     """A user's object that has `steps` and does not inherit from Integrator: what it has replaces the defaults."""
 
     def __init__(self, user):
+        """Take `steps` of the user's object, and all public functions and attributes of Integrator that it has."""
         self.user = user
         for name in ("steps", *(name for name in vars(Integrator) if name[0] != "_" and hasattr(user, name))):
             setattr(self, name, getattr(user, name))
 
     def fixed_step(self):
+        """The constant step of the user's object, s, by its attribute `h`; 0 if steps vary."""
         return Integrator.fixed_step(self.user)
 
     def relative_tolerance(self):
+        """The relative tolerance of the user's object, by its attribute `rtol`; None without one."""
         return Integrator.relative_tolerance(self.user)
 
     def settings_used(self, memory):
+        """{setting: value} of the user's object: its fields, or its numbers and texts."""
         return settings_of(self.user)
 
     def class_name(self):
+        """The name of the user's class in messages."""
         return type(self.user).__name__
 
 

@@ -71,6 +71,7 @@ class OwnSystem:
     """The system of `c_m M + K` and B at a state at rest by the model's own step matrix. Raises SingularSystem."""
 
     def __init__(self, model, t, q, lam, c_m):
+        """Factor `c_m M + K` at (t, q, lam) with v = 0 and a = 0."""
         self.step, self.at, zero = model.step_matrix(), (t, q, lam), np.zeros(model.n)
         self.step.factor(t, q, zero, zero, lam, c_m, 0.0)
 

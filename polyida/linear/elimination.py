@@ -81,6 +81,7 @@ def _fronts(supervariables):
     of = [set(numbers) for _, numbers in supervariables]
 
     def degree(number):
+        """Number of unknowns that share a group with a supervariable, its own ones included."""
         return sum(len(members[other]) for other in set().union(*(groups[group] for group in of[number])))
 
     waiting, order, borders = [(degree(number), number) for number in range(len(supervariables))], {}, []

@@ -96,6 +96,7 @@ class FactorCache:
     """The factors of the step sizes h that were used last: adaptive steps return to them."""
 
     def __init__(self):
+        """Begin without factors; those used last are at the end."""
         self.factors = {}
 
     def get(self, h):
@@ -148,6 +149,7 @@ class ScaledLU:
     """A factor of diag(rows) A diag(columns) with partial pivoting: LAPACK's or, sparse, SuperLU's. Raises SingularSystem."""
 
     def __init__(self, matrix, rows, columns):
+        """Factor the matrix A (N, N) with the scaling factors of its rows (N,) and columns (N,)."""
         self.rows, self.columns = rows, columns
         self.lu = LU(scaled(matrix, rows, columns), pivoting=True)
 

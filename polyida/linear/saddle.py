@@ -50,6 +50,7 @@ class KKT:
     """
 
     def __init__(self, tangent, phi_q, size=None, columns=None):
+        """Factor `[[S, B^T], [B, 0]]`, S = tangent (n, n), B = phi_q (m, n); columns: B of the upper right block, if it differs."""
         self.n, self.size = tangent.shape[0], size or 2.0 ** np.round(np.log2(typical(tangent)))
         self.lu = LU(assemble(tangent, phi_q, self.size, columns), pivoting=True)
 
@@ -239,6 +240,7 @@ class Border:
     """
 
     def __init__(self, X):
+        """Take X = S^-1 C, (n, k); the rows come with each solve."""
         self.X, self.rows, self.lu = X, None, None
 
     def solve(self, y, rows, below, corner=0.0):
@@ -303,6 +305,7 @@ class StepMatrix:
         self._set_matrix(self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0), c_m)
 
     def _set_matrix(self, S, c_m):
+        """Take S and its c_m and factor S, unless it is singular; all earlier factors are dropped."""
         self.S, self.c_m, self.lu, self.border, self.whole = S, c_m, None, None, None
         with suppress(SingularSystem):
             self.lu = LU(S)
@@ -358,6 +361,7 @@ class WholeMatrix(StepMatrix):
     """The same by one factor of `[[S, B^T], [B, 0]]`, scaled on request; its B is as old as S."""
 
     def __init__(self, model, scaling):
+        """Take the model and the scaling of its whole matrix."""
         super().__init__(model)
         self.scaling = scaling
 
@@ -381,6 +385,7 @@ class ExactSaddle:
     """
 
     def __init__(self, model, c_m, c_v, counts):
+        """Take c_m and c_v of `S = c_m M + c_v C + K`; nothing is evaluated yet."""
         self.model, self.c_m, self.c_v, self.counts = model, c_m, c_v, counts
         self.system = self.direct = self.M = self.K = self.C = self.S = self.B = self.slopes = None
         self.here = ()

@@ -193,6 +193,7 @@ class Helpers:
     """`count` threads with this one; factors on the same fronts share a Team."""
 
     def __init__(self, count):
+        """Take the number of threads, this one included; they start with the work."""
         self.count, self.team = count, None
 
     def at_work(self, factor, workspace):

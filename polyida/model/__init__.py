@@ -157,6 +157,7 @@ class Model:
         return self.reduced_bodies
 
     def __repr__(self):
+        """Return the name of the class, n and m, in one line."""
         return f"<{type(self).__name__}: n = {getattr(self, 'n', '?')}, m = {getattr(self, 'm', '?')}>"
 
     def _repr_html_(self):

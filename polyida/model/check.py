@@ -147,6 +147,7 @@ def _near(model, t, t_end, q, v, random, reaches):
 
 
 def _size(x, otherwise=1.0):
+    """The largest absolute value in an array, or `otherwise` if that is zero."""
     return float(np.abs(x).max(initial=0.0)) or otherwise
 
 
@@ -201,6 +202,7 @@ def _require_derivatives(model, times, q, v, random):
     pace = min(length, _size(q) / _size(v))
 
     def size():  # of what phi is the sum of, whose round-off it has
+        """Size of the terms of each row of phi, whose round-off it has: `|phi_q| (|q| + |v|) + |phi_t t|`."""
         return abs(model.phi_q(t, q)) @ (np.abs(q) + np.abs(v)) + np.abs(model.phi_t(t, q) * t)
 
     written = {

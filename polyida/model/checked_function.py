@@ -22,6 +22,7 @@ class CheckedFunction:
     """
 
     def __init__(self, label, function, shape):
+        """Take the user's function, its name for messages and the shape of its results."""
         self.label, self.function, self.shape = label, function, shape
         self.seen = [(), np.zeros(0)]
 

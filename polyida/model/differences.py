@@ -82,6 +82,7 @@ def jacobian(function, x, rows):
     for k in range(x.size):
 
         def moved(s, k=k):
+            """The function where coordinate k of x is changed by s, (rows,)."""
             shifted = x.copy()
             shifted[k] += s
             return function(shifted)

@@ -207,45 +207,59 @@ class Equations(Model):
         return self._ask("mass", q)
 
     def force(self, t, q, v):
+        """Return g, (n,), with the rates of states, of the user's checked functions."""
         return self._ask("force", t, q, v)
 
     def residual(self, t, q, v, a, lam):
+        """Return `r = M a + g + phi_q^T lam`, (n,), of the user's function or of Model."""
         return self._ask("residual", t, q, v, a, lam)
 
     def phi(self, t, q):
+        """Return phi, (m,), of the user's checked function."""
         return self._ask("phi", t, q)
 
     def phi_q(self, t, q):
+        """Return phi_q, (m, n), of the user's checked function or of Model."""
         return self._ask("phi_q", t, q)
 
     def phi_t(self, t, q):
+        """Return phi_t, (m,), of the user's checked function or of Model."""
         return self._ask("phi_t", t, q)
 
     def phi_rate(self, t, q, v):
+        """Return `phi_q v + phi_t`, (m,), of the user's checked function or of Model."""
         return self._ask("phi_rate", t, q, v)
 
     def phi_bias(self, t, q, v):
+        """Return phi_bias, (m,), of the user's checked function or of Model."""
         return self._ask("phi_bias", t, q, v)
 
     def phi_rate_q(self, t, q, v):
+        """Return d(phi_q v + phi_t)/dq, (m, n), of the user's checked function or of Model."""
         return self._ask("phi_rate_q", t, q, v)
 
     def phi_bias_q(self, t, q, v):
+        """Return d(phi_bias)/dq, (m, n), of the user's checked function or of Model."""
         return self._ask("phi_bias_q", t, q, v)
 
     def force_q(self, t, q, v):
+        """Return dg/dq, (n, n), of the user's checked function or of Model."""
         return self._ask("force_q", t, q, v)
 
     def force_v(self, t, q, v):
+        """Return dg/dv, (n, n), of the user's checked function or of Model."""
         return self._ask("force_v", t, q, v)
 
     def mass_a_q(self, q, a):
+        """Return d(M a)/dq, (n, n), of the user's checked function or of Model."""
         return self._ask("mass_a_q", q, a)
 
     def reaction_q(self, t, q, lam):
+        """Return d(phi_q^T lam)/dq, (n, n), of the user's checked function or of Model."""
         return self._ask("reaction_q", t, q, lam)
 
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
+        """Return `c_m M + c_v dr/dv + c_q dr/dq`, (n, n), of the user's checked function or of Model."""
         return self._ask("tangent", t, q, v, a, lam, c_m, c_v, c_q)
 
     def call_all(self, t, q, v):
@@ -297,40 +311,52 @@ class Equations(Model):
         return result
 
     def potential(self, q):
+        """Return the user's potential energy at q, J, checked, or None if it is unknown."""
         return self._answer("potential", q)
 
     def momenta(self, q, v):
+        """Return the user's (px, py, L), N s and N m s, checked, or None if they are unknown."""
         return self._answer("momenta", q, v)
 
     def powers(self, t, q, v, lam):
+        """Return the user's {name: power, W}, checked, or the default of Model."""
         return self._answer("powers", t, q, v, lam)
 
     def potentials(self, q):
+        """Return (potential of loads, strain energy), J, of the user's function or of Model."""
         return self._of_user("potentials", q) if "potentials" in self.written_names else super().potentials(q)
 
     def initial_velocity(self, t, q):
+        """Return the user's initial velocities with the start of the states behind them, (n,)."""
         v = self._of_user("initial_velocity", t, q)
         return np.append(v, self.state_start) if self.own_states else v
 
     def attachment(self, name):
+        """Return the attachment of this name of the user's model."""
         return self.user.attachment(name)
 
     def position(self, name, q):
+        """Return the path of a named point over frames q, (frames, 2), m, by the user's function."""
         return self._of_user("position", name, q)
 
     def constraint_name(self, row):
+        """Return the name of a row of phi, or of a velocity row, for messages."""
         return (self.psi_rows or self.user).constraint_name(row)
 
     def keeps_body(self, row):
+        """Return True if a row of phi keeps a body rigid, as the user's model says."""
         return self.user.keeps_body(row)
 
     def mass_system(self, t, q):
+        """Return the factored `[[M, B^T], [B, 0]]` at (t, q), of the user's function or of Model."""
         return (self.user if "mass_system" in self.written_names else super()).mass_system(t, q)
 
     def step_matrix(self):
+        """Return a StepMatrix that is not factored yet, of the user's function or of Model."""
         return (self.user if "step_matrix" in self.written_names else super()).step_matrix()
 
     def increments(self, t0, t1, ends, h, q, v):
+        """Return the user's function (dd, dv, phi, rate) -> (phi, rate) behind a step of h from (q, v) at t0."""
         return self.user.increments(t0, t1, ends, h, q, v)
 
     def kinks(self, t0, t1):
@@ -344,12 +370,14 @@ class Equations(Model):
         return tuple(np.unique(times).tolist())
 
     def rejection_reason(self, t, q):
+        """Return why the user's model rejects (t, q), or None; the function gets q without states."""
         if "rejection_reason" not in self.written_names:
             return None
         return self.user.rejection_reason(t, read_only(q[: self.n - self.k]))
 
     @property
     def switching(self):
+        """True if the user's model has switching functions."""
         return self.user.switching
 
     def gaps(self, t, q):
@@ -360,15 +388,19 @@ class Equations(Model):
         return gaps
 
     def replaced(self, name, value):
+        """Return the Equations of a copy of the user's model with another value of an attribute."""
         return guard(self.user.replaced(name, value), f"{self.name}.replaced")
 
     def parameter(self, name):
+        """Return the value of one of the user's `parameters`."""
         return self.user.parameter(name)
 
     def residual_p(self, name, t, q, v, a, lam):
+        """Return dr/dp of one of the user's `parameters`, checked: (n,), of an array (n, ...)."""
         return self._slope("residual_p", self.n, name, t, q, v, a, lam)
 
     def phi_p(self, name, t, q):
+        """Return dphi/dp of one of the user's `parameters`, checked: (m,), of an array (m, ...)."""
         return self._slope("phi_p", self.m, name, t, q)
 
     def _slope(self, function, size, name, t, *state):

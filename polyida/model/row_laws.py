@@ -130,26 +130,33 @@ class WithRows(Model):
         return getattr(self.whole, name)
 
     def spread(self, lam, width):
+        """Return lam (..., m) of the kept rows as multipliers of all rows of the whole model, zero elsewhere."""
         result = np.zeros((*np.shape(lam)[:-1], self.whole.m))
         result[..., self.kept] = lam
         return result
 
     def potentials(self, q, v=None):
+        """Return (potential of loads, strain energy) of the whole model, J; v is passed on if it is given."""
         return self.whole.potentials(q) if v is None else self.whole.potentials(q, v)
 
     def potential(self, q):
+        """Return the potential energy of the whole model at q, J: loads and strain."""
         return float(sum(self.whole.potentials(q)))
 
     def mass(self, q):
+        """Return M of the whole model, (n, n); dense for a small scene."""
         return self.whole.small_mass() if self.small else self.whole.mass(q)
 
     def force(self, t, q, v):
+        """Return the force g of the whole model, (n,)."""
         return self.whole.force(t, q, v)
 
     def residual(self, t, q, v, a, lam):
+        """Return `r = M a + g + phi_q^T lam`, (n,), with lam of the kept rows alone."""
         return self.whole.residual(t, q, v, a, self.spread(lam, self.whole.m))
 
     def reaction_q(self, t, q, lam):
+        """Return d(phi_q^T lam)/dq, (n, n), with lam of the kept rows alone."""
         return self.whole.reaction_q(t, q, self.spread(lam, self.whole.m))
 
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
@@ -160,9 +167,11 @@ class WithRows(Model):
         return c_m * self.mass(q) + rates + (c_q * self.whole.small_tangent(t, q, v, self.spread(lam, self.whole.m)) if c_q else 0.0)
 
     def phi(self, t, q):
+        """Return phi of the kept rows, (m,)."""
         return self.whole.phi(t, q)[self.kept]
 
     def phi_q(self, t, q):
+        """Return phi_q of the kept rows, (m, n)."""
         return self.phi_q_of_whole(t, q)[self.kept]
 
     def phi_q_of_whole(self, t, q):
@@ -170,15 +179,19 @@ class WithRows(Model):
         return (self.whole.small_phi_q if self.small else self.whole.phi_q)(t, q)
 
     def phi_t(self, t, q):
+        """Return phi_t of the kept rows, (m,)."""
         return self.whole.phi_t(t, q)[self.kept]
 
     def phi_rate(self, t, q, v):
+        """Return `phi_q v + phi_t` of the kept rows, (m,)."""
         return self.whole.phi_rate(t, q, v)[self.kept]
 
     def phi_bias(self, t, q, v):
+        """Return phi_bias of the kept rows, (m,)."""
         return self.whole.phi_bias(t, q, v)[self.kept]
 
     def constraint_name(self, row):
+        """Return the name of a kept row for messages."""
         return self.whole.constraint_name(int(self.kept[row]))
 
 
@@ -213,6 +226,7 @@ class Slipping:
         return np.where(self.on_contact, -(lam @ presses), sizes), shares.T
 
     def spread(self, lam, width):
+        """Return multipliers of all rows of `origin`, (..., m), with the friction of the rows that slip."""
         return self.forces_of_all(lam)
 
     def forces_of_all(self, lam):
@@ -230,6 +244,7 @@ class Slipping:
         return B[self.columns] + shares[:, self.columns].T @ B[self.rubbing]
 
     def mass_system(self, t, q):
+        """Return the SlippingMasses at (t, q); the last one is kept, as it is asked for several times."""
         if self.last_masses is None or self.last_masses.t != t or not np.array_equal(self.last_masses.q, q):
             self.last_masses = SlippingMasses(self, super().mass_system(t, q), t, q)
         return self.last_masses
@@ -285,6 +300,7 @@ class Slips(Slipping, WithRows):
     """A model of which only some rows of phi are equations, and in which rows of friction slip."""
 
     def __init__(self, whole, rows, slips):
+        """Take the whole model, the numbers of the rows that are equations, and the (RowLaw, sign of its rate) of each slip."""
         super().__init__(whole, rows)
         self.use_slips(whole, slips)
 
@@ -304,6 +320,7 @@ class SlippingMasses:
     """
 
     def __init__(self, model, system, t, q):
+        """Take the system without friction at (t, q), and solve it for unit forces along each row that slips."""
         self.model, self.system, self.t, self.q = model, system, t, np.array(q)
         rows, self.presses = model.rubbing_rows(t, q), model.presses[model.columns]
         self.X, self.Y = system.solve(rows.T, np.zeros((model.m, len(rows))))

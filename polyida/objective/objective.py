@@ -169,15 +169,19 @@ class Objective:
         return None
 
     def __add__(self, other: Objective) -> Sum:
+        """Return the sum with another objective."""
         return Sum((*terms_of(self), *terms_of(other)))
 
     def __radd__(self, other: Any) -> Objective:
+        """Return the sum with an objective on the left; 0 there adds nothing, for `sum([...])`."""
         return self if is_number(other) and other == 0 else Sum((*terms_of(other), *terms_of(self)))
 
     def __sub__(self, other: Objective) -> Sum:
+        """Return the difference to another objective."""
         return self + -require_objective("a sum of objectives", other)
 
     def __mul__(self, number: float) -> Sum:
+        """Return the objective times a finite number. Raises InputError for any other factor."""
         if not is_number(number):
             raise InputError(f"an objective is multiplied by {number!r:.100}; use a finite number")
         return Sum(tuple((float(number) * weight, part) for weight, part in terms_of(self)))
@@ -185,11 +189,13 @@ class Objective:
     __rmul__ = __mul__
 
     def __truediv__(self, number: float) -> Sum:
+        """Return the objective over a number. Raises InputError for zero, and for what is no finite number."""
         if not (is_number(number) and number != 0):
             raise InputError(f"an objective is divided by {number!r:.100}; use a finite number that is not zero")
         return self * (1.0 / number)
 
     def __neg__(self) -> Sum:
+        """Return the objective times -1, for differences of objectives."""
         return self * -1.0
 
 
@@ -210,9 +216,11 @@ class Sum(Objective):
         return any(part.of_frames for _, part in self.terms)
 
     def __call__(self, run: Any) -> float:
+        """Return the weighted sum of the values of its objectives."""
         return float(sum(weight * part(run) for weight, part in self.terms))
 
     def named(self, model: Any) -> Sum:
+        """Return the sum with names instead of parts of a model in its objectives."""
         return Sum(tuple((weight, part.named(model)) for weight, part in self.terms))
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
@@ -284,6 +292,7 @@ class Limit:
     case: str | None = None
 
     def __post_init__(self):
+        """Check the fields. Raises InputError for what is no Objective, and for an upper that is zero or not finite."""
         require_objective("Limit", self.objective)
         if not (is_number(self.upper) and self.upper):
             raise InputError(f"Limit: upper = {self.upper!r:.100} must be a finite number that is not zero, in the unit of the objective")
@@ -371,6 +380,7 @@ class UserObjective(Objective):
         direct = {name: _checked(name, value) for name, value in result.items() if name not in FRAMES}
 
         def of(part):
+            """The Slopes of a slice of frames; slopes in parameters come with the slice that has the last frame."""
             whole = part.indices(len(run.t))[1] == len(run.t)
             of_model = elsewhere if whole and not direct else None
             return Slopes(**{name: value[part] for name, value in frames.items()}, direct=direct if whole else {}, of_model=of_model)
@@ -388,6 +398,7 @@ class UserObjective(Objective):
 
 
 def _call(name, function, run):
+    """What the user's function of that name returns for a run. Raises InputError, with its name, for an exception."""
     return call_user(f"UserObjective: {name}(run), the function {getattr(function, '__name__', type(function).__name__)},", function, run)
 
 

@@ -46,14 +46,17 @@ class PeakReaction(TimeMean):
     _of_material = True
 
     def __post_init__(self):
+        """Check p and unit. Raises InputError for wrong ones."""
         settle(self, p=power(type(self).__name__, self.p))
         if not (self.unit is None or is_one_of(self.unit, UNITS)):
             raise InputError(f'{type(self).__name__}: unit = {self.unit!r:.100} must be "N" or "N m", or None')
 
     def _along_v(self, run):
+        """False: reactions depend on lam, not on t and q alone."""
         return False  # forces depend on lam
 
     def largest(self, run: Any) -> float:
+        """Return the largest value of all frames, without the mean: |R|, torque or power, in the unit of J."""
         run = run_of(type(self).__name__, run)
         return float(np.max(self._sizes(run, self._of(run))))
 
@@ -102,6 +105,7 @@ class PeakReaction(TimeMean):
         return name
 
     def named(self, model: Any) -> PeakReaction:
+        """Return the objective with the name of its joint. Raises InputError if the model has no such joint."""
         return replace(self, joint=self._name(model))
 
 

@@ -58,11 +58,13 @@ class PeakStress(TimeMean):
     power: float = 1.0
 
     def __post_init__(self):
+        """Check p and power. Raises InputError for wrong ones."""
         settle(self, p=power("PeakStress", self.p))
         if not (is_number(self.power) and 0 <= self.power <= 1):
             raise InputError(f"PeakStress: power = {self.power!r:.100} must be a number from 0 to 1")
 
     def named(self, model: Any) -> PeakStress:
+        """Return the objective with the name of its plate instead of the plate."""
         return replace(self, plate=named(model, self.plate))
 
     def largest(self, run: Any) -> float:
@@ -180,6 +182,7 @@ class StrainEnergy(TimeMean):
     _of_material = True
 
     def named(self, model: Any) -> StrainEnergy:
+        """Return the objective with the name of its body instead of the body."""
         return replace(self, plate=named(model, self.plate))
 
     def _evaluator(self, model, span):
@@ -190,6 +193,7 @@ class StrainEnergy(TimeMean):
             """Strain energies of the frames, and the function to Slopes."""
 
             def to_slopes(factor):
+                """The Slopes of J, from dJ/d(strain energy) of the frames, (count,)."""
                 energies = {body.name: np.asarray(factor, float) for body in elastic.plates}
                 return Slopes(q=elastic.forces(frames.q, factor), direct=elastic.by_parameters(frames.q, factor), energies=energies)
 
@@ -247,6 +251,7 @@ class Elastic:
 
 
 def _pairs(q, model):
+    """Coordinates q (frames, n) as pairs (frames, pairs, 2), contiguous floats."""
     return np.ascontiguousarray(q, float).reshape(-1, model.n_nodes, 2)
 
 

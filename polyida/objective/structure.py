@@ -37,9 +37,11 @@ class Mass(Objective):
     of_frames = False
 
     def __call__(self, run: Any) -> float:
+        """Return the mass, kg, of the part or of all parts of a run's model."""
         return sum(self._masses(run_of("Mass", run).model).values())
 
     def named(self, model: Any) -> Mass:
+        """Return the objective with the name of its part instead of the part."""
         return replace(self, part=named(model, self.part))
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
@@ -96,10 +98,12 @@ class Frequency(Objective):
     of_frames = False
 
     def __post_init__(self):
+        """Check the number of the mode. Raises InputError unless it is whole and at least 0."""
         if not is_whole(self.number, 0):
             raise InputError(f"Frequency: number = {self.number!r:.100} must be a whole number, 0 for the slowest mode")
 
     def __call__(self, run: Any) -> float:
+        """Return the frequency of the mode, Hz."""
         return float(self._modes(run_of("Frequency", run), self.number + 1).frequencies[self.number])
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
@@ -149,6 +153,7 @@ class _Mode:
         self.mu = self.model.mass_system(self.t, self.q).solve(self._stiffness(self.q) @ self.x, np.zeros(self.model.m))[1]
 
     def _stiffness(self, q):
+        """K = dr/dq, (n, n), at q with v = 0, a = 0 and the state's lam."""
         return self.model.tangent(self.t, q, self.still, self.still, self.lam, 0.0, 0.0, 1.0)
 
     def work(self):

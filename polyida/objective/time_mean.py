@@ -70,6 +70,7 @@ class Frames:
     """The frames of a slice of a run, each array read on first use. moves (count,): times by which they are moved along v, or None."""
 
     def __init__(self, run, part, moves=None):
+        """Take a run and the slice of its frames; moves: as of Frames, s."""
         self.run, self.part, self.moves = run, part, moves
 
     @cached_property
@@ -116,6 +117,7 @@ class TimeMean(Objective):
         raise NotImplementedError
 
     def __call__(self, run: Any) -> float:
+        """Return J of a run, the mean of order p over its time."""
         run = run_of(type(self).__name__, run)
         return self._mean(run, self._of(run)).value
 
@@ -216,6 +218,7 @@ def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: fl
     wide = FRAMES_WIDE * (span or 1.0)
 
     def rate(at):
+        """The derivative at one time, by differences; at a kink the mean of both sides."""
         kinks = model.kinks(at - wide, at + wide)
         sides = (beside(at, -1), beside(at, 1)) if at in kinks else (at,)
         return np.mean([along(lambda s, side=side: function(float(side + s)), wide, around(kinks, side)) for side in sides], axis=0)
@@ -302,6 +305,7 @@ class Compliance(TimeMean):
     """
 
     def _along_v(self, run):
+        """False: loads may jump in time, and the values with them."""
         return False  # loads may jump
 
     def _evaluator(self, model, span):
@@ -309,6 +313,7 @@ class Compliance(TimeMean):
         still = np.zeros(model.n)
 
         def load(t):
+            """The load f = -g(t, 0, 0), (n,), at a time."""
             return -model.force(t, still, still)
 
         def evaluate(frames):
@@ -359,14 +364,17 @@ class Deviation(TimeMean):
     _of_material = True
 
     def __post_init__(self):
+        """Check a path that is a fixed place. Raises InputError for a wrong one."""
         if not callable(self.path):
             self._place(self.path)
 
     def named(self, model: Any) -> Deviation:
+        """Return the objective with the name of its part, or of the body of its attachment, instead of the part itself."""
         body = named(model, self.point.body) if isinstance(self.point, Attachment) else None
         return replace(self, point=OnBody(body, self.point) if isinstance(body, str) else named(model, self.point))
 
     def _along_v(self, run):
+        """True if the path is a fixed place, or has no bend within the run."""
         return not callable(self.path) or not bends(self._at, float(run.t[0]), float(run.t[-1]))
 
     def _evaluator(self, model, span):
@@ -379,6 +387,7 @@ class Deviation(TimeMean):
             gap = model.position(point, frames.q) - ([at(t) for t in frames.t.tolist()] if callable(self.path) else at(0.0))
 
             def to_slopes(factor):
+                """The Slopes of J, from dJ/d(squared distance) of the frames, (count,)."""
                 toward = 2.0 * factor[:, None] * gap
                 return Slopes(q=pull(frames.q, toward), t=lambda: -np.sum(toward * rates(model, self._at, frames.t, span), axis=1))
 

@@ -282,6 +282,7 @@ class DenseTable(PythonTable):
         (first, *others), shape = [x.copy for x in vectors], out.shape
 
         def read_only(copy):
+            """A read-only copy of a vector of the workspace; copy: its own method."""
             vector = copy()
             vector.setflags(False)
             return vector
@@ -354,6 +355,7 @@ class DenseMatrix(StepMatrix):
     backend = "dense LU"
 
     def __init__(self, model, table):
+        """Take the model and the table that computes S for it."""
         super().__init__(model)
         self.table = table
 

@@ -132,6 +132,7 @@ class OneFactorScene(Scene):
     longest = INSTANTS
 
     def __init__(self, model, *arguments, **options):
+        """Make the table, and threads that share the solves if the scene is large and the user allows it."""
         super().__init__(model, *arguments, **options)
         self.helpers = Helpers(threads()) if 2 * model.n_factored >= SHARED and threads() > 1 else None
         self.c = np.zeros(2)

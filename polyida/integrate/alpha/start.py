@@ -36,6 +36,7 @@ def jerk(model, state, h, begin=None):
     s, begin = h / 20, state.t if begin is None else begin
 
     def acceleration(s):
+        """The consistent q'', (n,), at the time s later, where q and v follow the state's own v and a."""
         q = state.q + s * state.v + s * s / 2 * state.a
         return consistent_acceleration(model, begin + s, q, state.v + s * state.a)[0]
 
@@ -169,6 +170,7 @@ def _velocity_deviation(settings, model, state, h, third, inertia=None):
 
 
 def _with(state, v=None, a=None, lam=None, **memory):
+    """A copy of a State with other v, a or lam where these are given, and with these entries in its memory."""
     v, a, lam = (old if new is None else new for old, new in ((state.v, v), (state.a, a), (state.lam, lam)))
     return State(state.t, state.q, v, a, lam, state.memory | memory)
 

@@ -81,6 +81,7 @@ class StepSizeController:
     """
 
     def __init__(self, control, h, most, longest):
+        """Begin at the least of h, `most` and the largest step, s; longest: limit of all later steps, s."""
         self.control = control
         self.level = int(np.clip(round(LEVELS * np.log2(control.largest / min(h, most, control.largest))), 0, LAST_LEVEL))
         self.level_of_longest = 0 if longest == control.largest else int(np.ceil(LEVELS * np.log2(control.largest / longest) - 1e-9))
@@ -99,4 +100,5 @@ class StepSizeController:
         self.level = max(0, self.level_of_longest, self.level - min(LEVELS, int(np.floor(self._levels(error)))))
 
     def _levels(self, error):
+        """Number of levels, a real number, by which h may rise; negative if it must fall. error: over the allowed one."""
         return LEVELS * np.log2(SAFETY * max(error, 1e-12) ** (-1 / self.control.order))

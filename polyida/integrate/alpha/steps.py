@@ -334,4 +334,5 @@ def _numbers(method):
 
 
 def _no_rows(count):
+    """None: no array of the caller takes the next states."""
     return None

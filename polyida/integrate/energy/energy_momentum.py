@@ -75,6 +75,7 @@ class EnergyMomentum(Integrator):
     trusted, order = True, 2
 
     def __post_init__(self):
+        """Check the settings. Raises InputError for a setting out of range."""
         check_fields(self, self.class_name())
 
     def require(self, model: Model) -> None:

@@ -271,6 +271,7 @@ class End(State):
     """A State whose v, a and lam are computed when they are first asked for. ends: Ends of this state alone."""
 
     def __init__(self, ends):
+        """Take t, q and memory from the Ends of one state, and leave v, a and lam for later."""
         vars(self).update(t=float(ends.t[0]), q=ends.q[0], memory=ends.memory or {}, restart=ends.memory is not None, ends=ends)
 
     v = property(lambda self: self.ends.v[0])

@@ -82,6 +82,7 @@ class MiddleTable:
         return ENDS
 
     def _entries(self):
+        """{number of an entry: method} of the table, with MIDDLE for the middle of a step."""
         return super()._entries() | {MIDDLE: self._middle}
 
 
@@ -115,6 +116,7 @@ class DenseOwn(MiddleTable, DenseTable):
         """The functions of a small model, and its potential at work.q."""
 
         def potential(*_):
+            """Write the potential at work.q, J, to work.x[0]."""
             work.x[0] = self.model.potential(work.q.copy())
 
         return super()._functions(work) | {"potential": self._protected(potential)}

@@ -15,6 +15,7 @@ class ErrorLines:
     """
 
     def __init__(self):
+        """Begin without threads within it; sys.stdout stays as it is."""
         self.lock, self.users, self.stream, self.printed = threading.Lock(), 0, None, threading.local()
 
     def __enter__(self):
@@ -45,6 +46,7 @@ class ErrorLines:
         return len(text)
 
     def __getattr__(self, name):
+        """Any other attribute of the former sys.stdout, such as flush."""
         return getattr(self.stream, name)
 
 

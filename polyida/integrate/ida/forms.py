@@ -148,6 +148,7 @@ class AcceptedStates(Stretch):
         return self._work[-1]
 
     def _state(self, k):
+        """The State number k, with its mu in the memory if the form has mu."""
         memory = self._memory if self._mu is None else {"mu": self._mu[k]} | self._memory
         t, within = float(self.t[k]), self._within and partial(self._within, self.t[k])
         return State(t, self.q[k], self.v[k], self.a[k], self.lam[k], dict(memory), within=within)

@@ -138,6 +138,7 @@ class IDA(Integrator):
     trusted = True
 
     def __post_init__(self):
+        """Check the settings. Raises InputError for one out of range, and if rtol and ida_rtol are both given."""
         check_fields(self, "IDA")
         if self.rtol is not None and self.ida_rtol is not None:
             raise InputError(f"IDA: ida_rtol {self.ida_rtol} stands beside rtol {self.rtol}: give what is asked or what is passed")

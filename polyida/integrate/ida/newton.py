@@ -38,6 +38,7 @@ class Predicted:
     """
 
     def __init__(self, n, max_order):
+        """Draw the random vector (n,), and begin without states; max_order: largest order that IDA uses."""
         self.vector, self.max_order = np.random.default_rng(0).uniform(0.5, 1.5, n), max_order
         self.times, self.differences = [], []
 

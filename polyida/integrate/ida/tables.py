@@ -96,6 +96,7 @@ class WholeForm(WholeModes):
     """WholeModes of a System's rows; its unknowns are the multipliers themselves."""
 
     def __init__(self, model, modes, h, made_at, system, scaling):
+        """Take the System whose constraint rows are solved, and the scaling of the whole matrix."""
         super().__init__(model, modes, h, made_at, scaling)
         self.system = system
 
@@ -111,10 +112,12 @@ class PythonForm(PythonStages):
     """The table of any model."""
 
     def __init__(self, system, kind):
+        """Take the System; kind: function (model, modes, h, made_at) that makes its Matrices."""
         self.system = system
         super().__init__(system.model, EULER, system.form.stabilised, kind)
 
     def _entries(self):
+        """{number of an entry: method} of the table, with BIAS for the second derivative of phi."""
         return super()._entries() | {BIAS: self._bias}
 
     def stand(self, t):
@@ -141,6 +144,7 @@ class SceneForm(SceneStages):
     """The table of a scene in a stabilised form: residuals and one co-rotated solve with a border; one factor that is filled anew in place."""
 
     def __init__(self, model, tableau):
+        """Take the model of a scene and a tableau of one stage; choose the entries and make the step matrix."""
         super().__init__(model, tableau, True)
         self.entries, self.step = entries(*OF_FORMS), model.step_matrix()
 

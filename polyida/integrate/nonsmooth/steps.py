@@ -47,6 +47,7 @@ class Columns:
     """
 
     def __init__(self, contacts):
+        """Take the contacts whose rows have laws, and begin without columns."""
         self.contacts = contacts
         self.forget()
 

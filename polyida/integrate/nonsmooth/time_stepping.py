@@ -49,6 +49,7 @@ class TimeStepping(Integrator):
                 yield state
 
     def __post_init__(self):
+        """Check the settings. Raises InputError for a setting out of range."""
         check_fields(self, self.class_name())
 
 

@@ -63,9 +63,11 @@ class StretchStates(Stretch):
     """The States at the ends of the steps whose numbers are in the range `which`."""
 
     def __init__(self, s, which):
+        """Take the stretch s; which: range of the numbers of its steps."""
         self._stretch, self._which = s, which
 
     def __len__(self):
+        """Number of steps whose ends are in the stretch."""
         return len(self._which)
 
     def __getattr__(self, name):
@@ -177,4 +179,5 @@ class StepState(State):
         return True
 
     def __reduce__(self):
+        """What pickle needs: a plain State with all that is computed on first use."""
         return State, (self.t, self.q, self.v, self.a, self.lam, self.memory, self.restart, self.within)

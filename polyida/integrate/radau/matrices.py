@@ -79,6 +79,7 @@ class FactorWithRows:
     """The factor of a matrix in place of a StepMatrix."""
 
     def __init__(self, S):
+        """Factor the square matrix S, dense or sparse. Raises SingularSystem."""
         self.lu, self.dtype = LU(S), S.dtype
 
     def solve(self, q, b):
@@ -169,6 +170,7 @@ class Matrices:
         return dq, w[:m] - self.weight_of_rows * r3, w[m:]
 
     def _free(self, k, b):
+        """S^-1 b of mode k, without its border of constraints; complex for a pair of eigenvalues."""
         return self.factors[k].solve(self.q, b.astype(complex) if self.modes[k].paired else b)
 
 
@@ -188,6 +190,7 @@ class WholeModes(Matrices):
     """The Matrices of a step with one factor of each mode's whole matrix; K, M and C are those at `made_at`, the rows those of `surround`."""
 
     def __init__(self, model, modes, h, made_at, scaling):
+        """Take the scaling of the whole matrices; `make` evaluates K."""
         super().__init__(model, modes, h, made_at)
         self.scaling, self.K = scaling, None
 
@@ -211,4 +214,5 @@ class WholeModes(Matrices):
         return x[:n], x[2 * n : 2 * n + m], x[2 * n + m :]
 
     def _sizes(self, c, s):
+        """Factors (of rows, of columns) of the whole matrix of a mode; s: typical size of its S."""
         return sizes(self.scaling, c, s, self.model.n, self.model.m, self.rows.tied)

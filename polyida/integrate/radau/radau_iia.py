@@ -115,6 +115,7 @@ class RadauIIA(Integrator):
         return 2 * self.stages - 1
 
     def __post_init__(self):
+        """Check the settings. Raises InputError for a setting out of range."""
         check_fields(self, self.class_name())
 
     @property

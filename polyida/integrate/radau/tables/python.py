@@ -41,11 +41,13 @@ class PythonStages(Stages, PythonTable):
     most = 1
 
     def __init__(self, model, tableau, tied, kind):
+        """Take the tableau; tied: True if there is mu; kind: function that makes the Matrices of a slot."""
         self.tableau, self.tied, self.kind, self.lift, self.slots, self.reason = tableau, tied, kind, np.ones(model.n), {}, ""
         self.stages, self.B = tableau.stages, [None] * tableau.stages
         super().__init__(model, model.has_constraint_increments)
 
     def _entries(self):
+        """{number of an entry: method} of the table, with those of Radau IIA's stages and modes."""
         entries = super()._entries() | {of.PREPARE: self._prepare, of.REACTION: self._reaction}
         entries |= {of.REAL: self._real, of.PAIR: self._pair, of.INERTIA: self._inertia, of.ACCELERATION: self._acceleration}
         return entries | {of.ROWS: self._rows, of.SELECT: self._select}
@@ -69,10 +71,12 @@ class PythonStages(Stages, PythonTable):
         return status, self.reason if ended == SINGULAR and self.reason else reason
 
     def _prepare(self, first, times, *_):
+        """The entry PREPARE: read h, t and the times of the instants at an address, and set them from number `first` on."""
         self.h, self.t, *at = self._array(times, 3 + self.stages)
         self.times[first : first + len(at)] = np.array(at)[:, None]
 
     def _spans(self, instant):
+        """(t, time of the stage, times beside both inside the step, length) of each stage of a step."""
         begin = inner_side(self.model, self.t, -self.h)
         ends = self.times[instant + 1 : instant + 1 + self.stages, INNER].tolist()
         return [(self.t, t, (begin, t), step) for t, step in zip(ends, self.tableau.c * self.h)]
@@ -96,6 +100,7 @@ class PythonStages(Stages, PythonTable):
             super()._rate(instant, q, v, rate, known)
 
     def _project(self, *arguments):
+        """The entry PROJECT: the projection of PythonTable; the status is SINGULAR if constraints depend on each other."""
         return self._tried(partial(super()._project, *arguments), InputError, np.linalg.LinAlgError)
 
     def _rows(self, instant, q, v, a, *_):
@@ -107,6 +112,7 @@ class PythonStages(Stages, PythonTable):
         return DONE
 
     def _made_rows(self, t, q, v, a):
+        """The Rows of the constraints at a state, with the lam of the matrices; a has no influence."""
         return Rows(self.model, t, q, v, self.factored.lam, self.lift if self.tied else None)
 
     def _tried(self, act, *errors):
@@ -119,9 +125,11 @@ class PythonStages(Stages, PythonTable):
         return DONE
 
     def _real(self, instant, *arguments):
+        """The entry REAL: write dq and the multipliers of the real mode, the first one."""
         return self._correct(0, float, *arguments)
 
     def _pair(self, instant, *arguments):
+        """The entry PAIR: write dq and the multipliers of the complex mode, the last one."""
         return self._correct(len(self.tableau.modes) - 1, complex, *arguments)
 
     def _correct(self, mode, kind, r, closing, lam, dq, multipliers, _):
@@ -133,6 +141,7 @@ class PythonStages(Stages, PythonTable):
         )
 
         def solve():
+            """Solve for the corrections, and write them to the arrays at the addresses."""
             tied = m if self.tied else 0
             corrections = self.factored.corrections(mode, r.copy(), closing[:m].copy(), closing[m : m + tied].copy())
             dq[:], multipliers[:m], multipliers[m : m + tied] = corrections
@@ -161,6 +170,7 @@ class PythonStages(Stages, PythonTable):
         return DONE
 
     def _select(self, slot, *_):
+        """The entry SELECT: take the matrices in a slot for the next corrections."""
         self.factored = self.slots[slot]
 
 
@@ -173,6 +183,7 @@ class DenseStages(Stages, DenseTable):
     )  # fmt: skip
 
     def __init__(self, model, tableau, levels):
+        """Take the stages of the tableau and the levels of the rows, and fill the table's functions."""
         self.stages, self.levels = tableau.stages, levels
         super().__init__(model)
         self.serve()
