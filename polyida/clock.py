@@ -13,14 +13,17 @@ class Loading(ContextDecorator):
     """A context, or a decorator, of what a process does once. seconds (2,): CPU and wall time within it so far. A context within another one is part of it."""
 
     def __init__(self):
+        """Make a clock that has counted no seconds."""
         self.spent = 0.0, 0.0  # CPU and wall seconds of the contexts that have ended
         self.depth = 0  # contexts within each other, 0 outside of all
         self.lock = threading.Lock()
 
     def __enter__(self):
+        """Enter the context: the clock of runs stops."""
         self.begin()
 
     def __exit__(self, *_):
+        """Leave the context: the clock of runs goes on behind the outermost one."""
         self.end()
 
     def begin(self):
@@ -74,12 +77,13 @@ class Teller:
     """
 
     def __init__(self, where):
+        """Take the function that gives the folder of kernels; POLYIDA_QUIET=1 in the environment silences the message."""
         self.compiling = Loading()
         self.where = where
         self.told = os.environ.get("POLYIDA_QUIET", "0") not in ("", "0")
 
     def begin(self, module, name):
-        """A function of a module begins to be compiled."""
+        """Note that a function of a module begins to be compiled; print the message if compiling takes long."""
         self.compiling.begin()
         if not self.told and self.compiling.seconds[1] > LONG:
             self.told = True
@@ -89,5 +93,5 @@ class Teller:
                 print(f"\r{what} (`polyida warm` compiles all; POLYIDA_QUIET=1 says nothing)", file=sys.stderr, flush=True)
 
     def end(self):
-        """The function is compiled."""
+        """Note that the function is compiled, which stops the time of compiling."""
         self.compiling.end()

@@ -174,7 +174,7 @@ def _mapping(size, least):
 
 
 def _give_back(mapping):
-    """Store a mapping that has no array any more."""
+    """Keep a memory mapping that no array uses any more, for later arrays."""
     try:
         mapping.madvise(mmap.MADV_FREE)
     except OSError:  # the system does not support it

@@ -45,6 +45,7 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: object) -> None:
+        """Take the message and store it in one line, with control characters escaped, cut to at most about 600 characters."""
         line = printable(" ".join(str(message).split()))
         super().__init__(line if len(line) <= 600 else f"{line[:300]} ... {line[-295:]}")
 
@@ -53,6 +54,7 @@ class NamingWarning(UserWarning):
     """A warning whose text may have names and words of files in it."""
 
     def __str__(self) -> str:
+        """The message with control characters escaped, fit to print."""
         return printable(super().__str__())
 
 

@@ -45,19 +45,19 @@ class Moment:
 
     @property
     def a(self) -> NDArray:
-        """Accelerations, (n,)."""
+        """Accelerations of the coordinates, (n,), m/s^2 for places."""
         self._reads_forces = True
         return read_only(self._all.a)[self._own]
 
     @property
     def lam(self) -> NDArray:
-        """Multipliers, (m,)."""
+        """Multipliers of all rows of phi, (m,), N for places."""
         self._reads_forces = True
         return read_only(self._all.lam)
 
     @property
     def x(self) -> NDArray:
-        """First-order states, (k,)."""
+        """First-order states of the model, (k,)."""
         return self._model.states_of(self._all.v)
 
     def position(self, name: object) -> NDArray:
@@ -65,7 +65,7 @@ class Moment:
         return self._model.position(name, self._all.q[None])[0]
 
     def velocity(self, name: object) -> NDArray:
-        """Return the velocity, (2,), m/s, of the same."""
+        """Return the velocity, (2,), m/s, of a mass, load or joint, by name or itself, or of an attachment."""
         if not self._model.is_scene:
             raise InputError(f"velocity({name!r:.60}): the model is no scene's; read v")
         return self._model.velocity(name, self._all.v)
@@ -131,7 +131,7 @@ class Event:
 
     @property
     def added(self) -> tuple:
-        """The parts that it may add."""
+        """The parts that the event may add to the model."""
         rests = [part for one in self.then if isinstance(one, Impact) for part in one.rest]
         return (*(one for one in self.then if isinstance(one, ADDABLE)), *rests)
 
@@ -147,6 +147,7 @@ class Remove:
     """
 
     def __init__(self, *parts: Any) -> None:
+        """Take the parts, by name or themselves, at least one. Raises InputError."""
         if not parts or not all(isinstance(part, (str, *ADDABLE)) for part in parts):
             raise InputError(f"Remove: {parts!r:.80} must be names of parts, or parts, at least one")
         self.parts = parts
@@ -172,6 +173,7 @@ class Impulse:
     impulse: ArrayLike = field(metadata=check(vector2))
 
     def __post_init__(self):
+        """Check that `at` is an attachment, and the other fields. Raises InputError."""
         require_attachment("Impulse", self.at)
         check_fields(self, "Impulse")
 
@@ -264,25 +266,30 @@ class Events(Sequence):
     """
 
     def __init__(self, happened: Any = (), first: Any = (), models: Any = (), given: bool = False) -> None:
+        """Take the events that happened, the parts that are absent at the start, the models, and whether `solve` got events."""
         self.happened, self.first, self.models, self.given = list(happened), tuple(first), list(models), given
         self.causes: Any = None  # the Event objects of the run, for its gradient; no file holds them
         self.watch_seconds = np.nan  # CPU time spent on looking for changes of contact and friction; of a run in this process alone
 
     def __len__(self):
+        """The number of events that happened."""
         return len(self.happened)
 
     def __getitem__(self, k: Any) -> Any:
+        """The event number k that happened, or a list of those of a slice."""
         return self.happened[k]
 
     def __iter__(self) -> Iterator[Happened]:
+        """Iterate over the events that happened, in their order."""
         return iter(self.happened)
 
     @property
     def t(self) -> NDArray:
-        """Their times, (events,), s."""
+        """Times of the events, (events,), s."""
         return np.array([one.t for one in self.happened])
 
     def __repr__(self):
+        """A table with time, name, impulse and lost energy of each event; of more than 20, the first and the last ten."""
         rows = [f"{one.t:14.9g} s  {one.name:20} {one.impulse:12.5g} N s {one.energy_lost:12.5g} J" for one in self.happened]
         rows = [*rows[:10], *([f"... {len(rows) - 20} more ..."] if len(rows) > 20 else []), *rows[max(10, len(rows) - 10) :]]
         return "\n".join([f"<Events: {len(self)}; time, name, impulse, energy lost>", *map(printable, rows)])
@@ -324,12 +331,12 @@ class Events(Sequence):
         yield from zip(ends, ends[1:], self.modes(model))
 
     def to_data(self) -> list:
-        """Return plain data for files."""
+        """Return plain data for files: a list [given, *absent parts], then a dictionary for each event."""
         return [[self.given, *self.first], *(asdict(one) for one in self.happened)]
 
     @classmethod
     def from_data(cls, data: list) -> Events:
-        """Return the Events of `to_data`."""
+        """Return the Events of the plain data that `to_data` gave."""
         (given, *first), *rest = data or [(False,)]
         happened = [Happened(**one | {"held": {name: np.array(at, float) for name, at in one["held"].items()}}) for one in rest]
         return cls(happened, first, given=given)

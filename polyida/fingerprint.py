@@ -67,7 +67,7 @@ _known: dict = {}  # {functions: (their text, [(namespace, name, value)], [(arra
 
 
 def _content(array):
-    """Shape, type and bytes of an array."""
+    """(shape, type, bytes) of an array, which are equal for equal arrays."""
     return array.shape, array.dtype, array.tobytes()
 
 
@@ -81,6 +81,7 @@ class _Reader:
     """Visits all that a function is made of, each object once, and digests it in this order."""
 
     def __init__(self):
+        """Start a SHA-256 digest that has seen no object."""
         self.digest = hashlib.sha256()
         self.seen = {}  # {id of an object: its number}
         self.alive = []  # the objects: the id of a deleted one would be reused
@@ -167,7 +168,7 @@ class _Reader:
                 self._add_all(parts or [value])
 
     def _reduced(self, thing):
-        """The parts of an object in pickle, without cached properties."""
+        """The parts of an object that pickle would store, without cached properties."""
         try:
             reduce = copyreg.dispatch_table.get(type(thing))
             reduced = reduce(thing) if reduce else thing.__reduce_ex__(4)
@@ -197,7 +198,7 @@ class _MachineCodeReader(_Reader):
         return top in sys.stdlib_module_names or top in ("numpy", "numba")
 
     def _stores(self, code):
-        """No names are ignored: machine code holds the values of all."""
+        """No names: machine code holds the values of all names, so none is ignored."""
         return (), ()
 
     def _function(self, function):
@@ -208,7 +209,7 @@ class _MachineCodeReader(_Reader):
         super()._function(function)
 
     def _class(self, kind):
-        """Digest a class, whose attributes can change."""
+        """Digest a class, and note that its attributes can change, so that the digest cannot be kept."""
         self.constant = False
         super()._class(kind)
 

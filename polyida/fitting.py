@@ -53,7 +53,7 @@ class Fit:
 
     @property
     def errors(self) -> dict[str, float]:
-        """Standard deviation of each parameter."""
+        """Standard deviation of each parameter, {name: float}, from the covariance."""
         return dict(zip(self.values, np.sqrt(np.diagonal(self.covariance)).tolist()))
 
     @property
@@ -214,7 +214,7 @@ class _Calls:
         self.known = b"", np.zeros(0)  # parameters of the last call that did not fail, as bytes, and its residuals
 
     def begin(self, x):
-        """Call it at the start. Raises InputError if it fails."""
+        """Call the user's function at the first guess x. Raises InputError if it fails or its result has a wrong shape."""
         try:
             values = self._values(x)
         except StepFailure as failure:

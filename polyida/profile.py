@@ -46,6 +46,7 @@ REACH = {1: 2e-5, 2: 2e-4}  # s between the values of which differences make a f
 
 
 def __dir__():
+    """Return the public names of the module, `__all__`, for `dir()`."""
     return __all__
 
 
@@ -88,6 +89,7 @@ class Profile:
         return f"Profile({cut(', '.join(map(str, self.formula)) or getattr(inner[0], '__name__', type(inner[0]).__name__))})"
 
     def __call__(self, t: float) -> float:
+        """Return the value of the profile at time t, s."""
         return self.value(t)
 
     def at(self, t: float) -> tuple[float, float, float]:
@@ -211,6 +213,7 @@ def linear(start: float, end: float, duration: float, begin: float = 0.0) -> Pro
 
 
 def _require_numbers(kind, **values):
+    """Raise InputError unless all arguments, by their names, of a profile of that kind are finite numbers."""
     for name, value in values.items():
         number(f"profile.{kind}", name, value, "its unit")
 
@@ -260,6 +263,7 @@ def sine(amplitude: float, frequency: float, phase: float = 0.0) -> Profile:
 
 
 def _wave(function, size, w, phase, t):
+    """Value at time t, s, of `size * function(w t + phase)`; w in rad/s, phase in rad."""
     return size * function(w * t + phase)
 
 
@@ -387,7 +391,7 @@ def from_samples(
 
 
 def _through(t, y, derivative, smooth, baseline, start):
-    """The profile of `from_samples`, its arguments checked."""
+    """The profile through samples (t, y) with the checked arguments of `from_samples`."""
     t, y = np.array(t, float), np.array(y, float)
     with np.errstate(all="ignore"):
         measured = joined(t, y, smooth)
@@ -406,7 +410,7 @@ def _through(t, y, derivative, smooth, baseline, start):
 
 
 def _at_end(profile, t):
-    """How a profile through samples ends, in words."""
+    """Value and velocity at the end t of a profile through samples, in words."""
     return f"ends at {profile.value(t):.4g} with the velocity {profile.d1(t):.4g} per second"
 
 
@@ -445,7 +449,7 @@ def _derivative(function, order, kinks, t):
 
 @named_keywords
 def difference(first: Profile, second: Profile) -> Profile:
-    """Make the profile `first - second`.
+    """Make the profile `first - second`, its derivatives included.
 
     Parameters
     ----------
@@ -466,12 +470,13 @@ def difference(first: Profile, second: Profile) -> Profile:
 
 
 def _less(f, g, t):
+    """Difference f(t) - g(t) of two functions of time."""
     return f(t) - g(t)
 
 
 @named_keywords
 def scaled(profile: Profile, factor: float) -> Profile:
-    """Make a profile times a number.
+    """Make the profile `factor * profile`, its derivatives included.
 
     Parameters
     ----------
@@ -490,6 +495,7 @@ def scaled(profile: Profile, factor: float) -> Profile:
 
 
 def _times(f, factor, t):
+    """Product of a factor and a function of time, at t."""
     return factor * f(t)
 
 

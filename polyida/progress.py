@@ -31,6 +31,7 @@ def over_time(progress, begin, t_end):
     with bar_for("solve")(total=t_end - begin, bar_format=form, leave=False) as bar:
 
         def tell(t):
+            """Show the time t of the run, s, in the bar."""
             bar.set_description_str(f"t = {t:.4g} of {t_end:.4g} s", refresh=False)
             bar.update(t - begin - bar.n)
 
@@ -61,6 +62,7 @@ def teller(study, progress):
         with bar_for(study)(desc=study, leave=False) as bar:
 
             def tell(done, total, what):
+                """Show in the bar that `done` of `total` steps are done, and what comes next."""
                 bar.total, bar.n = total, done
                 bar.set_postfix_str(what)
 

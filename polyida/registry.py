@@ -75,6 +75,7 @@ __all__ = ["find", "integrators", "name_of", "parts", "problems", "studies"]
 
 
 def __dir__():
+    """Return the public names of the module, `__all__`, for `dir()`."""
     return __all__
 
 
@@ -82,6 +83,7 @@ _BUILT_IN = frozenset([*parts.values(), *integrators.values()])
 
 
 def _place_of(kind):
+    """Module and name of a class, "module:Name", as the registry stores it."""
     return f"{kind.__module__}:{kind.__qualname__}"
 
 

@@ -45,11 +45,13 @@ class Scene:
     """
 
     def __init__(self, gravity: ArrayLike | Sequence[float | Profile | Callable[[float], float]] = (0.0, 0.0)) -> None:
+        """Take gravity (2,), m/s^2, a number or a profile for each component; the scene has no part yet."""
         self.gravity = _gravity(gravity)
         self.parts: dict[str, Any] = {}
         self._built: set[str] = set()  # names of the parts of models
 
     def __repr__(self):
+        """One line with the number of parts and how many there are of each kind."""
         return f"<Scene: {len(self.parts)} part{'s' * (len(self.parts) != 1)}{': ' * bool(self.parts)}{cut(counted(self.parts))}>"
 
     def _repr_html_(self):
@@ -59,7 +61,7 @@ class Scene:
         return table(f"Scene, gravity ({gravity}) m/s²", ("name", "kind", "settings"), rows)
 
     def add(self, part: Part) -> Part:
-        """Add a part.
+        """Add a part to the scene and return it.
 
         Parameters
         ----------

@@ -18,6 +18,7 @@ __all__ = ["position", "reaction", "state"]
 
 
 def __dir__():
+    """Return the public names of the module, `__all__`, for `dir()`."""
     return __all__
 
 
@@ -69,6 +70,7 @@ def reaction(joint: str) -> Sensor:
     """
 
     def read(model, state):
+        """The reaction of the joint, (k,), N and N m, at a state of a model. Raises InputError for an unknown joint."""
         if not is_one_of(joint, model.rows):
             raise InputError(f"sensor.reaction: no joint is called {joint!r:.100}; known: {names_of_joints(model)}")
         return reaction_of(model, joint, np.array([state.t]), state.q[None], state.lam[None][:, model.columns])[0]
@@ -111,7 +113,7 @@ class Sensors(Mapping):
 
     @property
     def t(self) -> NDArray:
-        """Times, (steps,), s."""
+        """Times of the recorded values, (steps,), s."""
         return self.rows[:, 0]
 
     def __getitem__(self, name: str) -> NDArray:
@@ -125,7 +127,9 @@ class Sensors(Mapping):
         raise KeyError(f"no sensor is called {name!r}; known: {', '.join(map(repr, self.shapes)) or 'none'}")
 
     def __iter__(self) -> Iterator[str]:
+        """Iterate over the names of the sensors."""
         return iter(self.shapes)
 
     def __len__(self) -> int:
+        """The number of sensors with recorded values."""
         return len(self.shapes)

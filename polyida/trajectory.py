@@ -139,10 +139,11 @@ class Trajectory:
 
     @property
     def steps(self) -> int:
-        """Accepted steps."""
+        """Number of accepted steps of the run."""
         return self.counts.steps
 
     def __len__(self):
+        """The number of frames of the run."""
         return len(self.t)
 
     @property
@@ -214,9 +215,11 @@ class Trajectory:
 
     @cached_property
     def _momenta(self):
+        """Momenta of all frames, (frames, 3): px and py, N s, and the angular momentum about the origin, N m s."""
         return np.concatenate([momenta_of(one) for one in self._pieces("momentum")])
 
     def _motion(self, what):
+        """The Motion of all frames with the known model; what: name of the method, for the message if there is no model."""
         return Motion(self.known_model(what), self.t, self.q, self.v, self.a, self.lam)
 
     def _pieces(self, what):
@@ -426,11 +429,13 @@ class Trajectory:
         return np.maximum.reduceat(values, np.cumsum(of_cells) - of_cells) if len(of_cells) else values
 
     def _frame(self, what, frame):
+        """q (n,) of a frame, as floats. Raises InputError for an index that the run does not have; what: the method that asks."""
         if not is_whole(frame, -len(self), len(self) - 1):
             raise InputError(f"{what}: frame = {frame!r} must be the index of one of the run's {len(self)} frames")
         return np.asarray(self.q[frame], float)
 
     def _scene(self, what):
+        """The model of the run if it is a scene's. Raises InputError otherwise; what: the method that asks."""
         if not self.known_model(what).is_scene:
             raise InputError(f"{what}: {type(self.model).__name__} is no scene's model; read q")
         return self.model
@@ -458,6 +463,7 @@ class Trajectory:
         return printable(f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{text}")
 
     def __repr__(self):
+        """One line with how the run ended, its integrator, times and sizes."""
         return f"<Trajectory: {self._headline()}>"
 
     def _headline(self):
@@ -529,6 +535,7 @@ class Trajectory:
 
 
 def _largest(values):
+    """Largest absolute value of an array, a float; 0 if it is empty."""
     return float(np.abs(values).max(initial=0.0))
 
 

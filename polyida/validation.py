@@ -52,7 +52,7 @@ def is_whole(value, least=1, most=2**62):
 
 
 def is_one_of(value, known):
-    """True for one of the texts `known`."""
+    """True if a value is a text and one of the texts `known`."""
     return isinstance(value, str) and value in known
 
 
@@ -119,12 +119,12 @@ def complexes(value):
 
 
 def is_flag(value):
-    """True for a bool."""
+    """True for a bool of Python or numpy."""
     return isinstance(value, (bool, np.bool_))
 
 
 def read_only(array):
-    """A read-only view of an array."""
+    """A read-only view of an array, without a copy."""
     view = array.view()
     view.flags.writeable = False
     return view

@@ -105,7 +105,7 @@ class Body(OwnPart, part=False):
         raise NotImplementedError
 
     def compiled_functions(self) -> dict[str, Any]:
-        """Return {"elastic", "energy": function(self, z)} for numba; empty for Python."""
+        """Return {"elastic", "energy": function(self, z)} for numba; empty if the class writes them in Python."""
         return compiled_functions(self, Body, "elastic", "energy")
 
     def rows(self) -> list[Row | Vector]:
@@ -164,7 +164,7 @@ class Body(OwnPart, part=False):
         mass_of(self), translation_of(self), form_of(self)
 
     def at(self, name: str, direction: "ArrayLike | None" = None) -> "BodyPoint":
-        """Return a point by name.
+        """Return a point by name, as a BodyPoint for joints, loads and masses.
 
         direction: of any length, in the body's axes in the reference configuration; by default its x axis. Raises InputError for an unknown name, and for a
         direction if the body has no x axis.
@@ -294,7 +294,7 @@ class BodyEdges(BodyPoint):
 
 
 def points_of(body):
-    """Return all named points of a body."""
+    """Return all named points of a body as a list of BodyPoints."""
     return [body.at(name) for name in body.attachments()]
 
 
@@ -306,6 +306,7 @@ def sticks_between(points):
 
 
 def _finite(value):
+    """A value as a complex array; None if it is none, or not finite."""
     array = complexes(value)
     return array if array is not None and np.isfinite(array).all() else None
 

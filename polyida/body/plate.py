@@ -68,6 +68,7 @@ class Material:
     prony: Sequence[tuple[float, float]] = field(default=(), metadata=check(prony_series))
 
     def __post_init__(self):
+        """Check the fields of the material. Raises InputError."""
         check_fields(self, "Material")
 
     @property

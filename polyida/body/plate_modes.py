@@ -15,9 +15,10 @@ CHUNK = 512  # blocks of cells whose strains are in memory at once
 
 
 class PlateMatrices:
-    """Matrices of a plate at rest: M (N, N) of one direction, kg, and K (2N, 2N), N/m, on (x, y) node by node."""
+    """Matrices of a plate in the reference configuration: M (N, N) of one direction, kg, and K (2N, 2N), N/m, on (x, y) node by node."""
 
     def __init__(self, plate):
+        """Take a Plate; store its operator and its membrane stiffness `h E / (1 - nu^2)`, N/m, with nu."""
         self.plate, self.operator = plate, operator_of(plate)
         modulus, nu = plate.material.in_plane
         self.membrane = plate.thickness * modulus / (1 - nu**2), nu  # membrane stiffness, N/m, and the ratio
@@ -34,6 +35,7 @@ class PlateMatrices:
         return self._on_nodes(self.operator.stabilisation * factor) if factor else None
 
     def _on_nodes(self, values):
+        """Values of the pairs of neighbouring nodes as a sparse matrix (N, N), csr."""
         from scipy.sparse import csr_array
 
         return csr_array((values, self.operator.indices, self.operator.indptr), shape=(self.operator.n_nodes,) * 2)
@@ -59,12 +61,13 @@ class PlateMatrices:
 
 
 def rows_of(n, sides):
-    """Return rows (k, 2n) for what attachments hold at rest (mean x, mean y, rotation), and rows for the stretch of their directions.
+    """Return rows (k, 2n) of the mean x, mean y and rotation that attachments hold, and rows of the stretch of their directions.
 
     Their length is one, so that rows of means and of rotations, which have different units, compare in any unit of length.
     """
 
     def row(side, weights, x, y):
+        """Row (1, 2n) of length one with the weights of an attachment, times x in the x direction and times y in the y direction."""
         array = np.zeros((1, n, 2))
         array[0, side.nodes, 0], array[0, side.nodes, 1] = x * weights, y * weights
         return array.reshape(1, -1) / np.linalg.norm(array)
@@ -90,7 +93,7 @@ def completed_rows(rows, M, arms, whole):
 
 
 def rigid_fields(arms):
-    """Infinitesimal rigid motions, (2N, 3)."""
+    """Infinitesimal rigid motions (2N, 3) of nodes at arms (N,), complex, m: translations along x and y, and a rotation."""
     motions = np.zeros((len(arms), 2, 3))
     motions[:, 0, 0] = motions[:, 1, 1] = 1.0
     motions[:, 0, 2], motions[:, 1, 2] = -arms.imag, arms.real
@@ -148,7 +151,7 @@ def orthogonal_fields(M, rigid, fields):
 
 
 def form_of_fields(matrices, fields):
-    """Return (form, shift) as of `Body.form` for `x = sum z_k f_k`, fields (N, K): `form = sum weight t Q^T C Q` over the points.
+    """Return (form, shift) of the elastic energy for `x = sum z_k f_k`, fields (N, K): `form = sum weight t Q^T C Q` over the points.
 
     With a_k, b_k the x and y derivatives of f_k, Q maps y to (Exx, Eyy, 2 Exy): conj(z_i) z_j has the factors conj(a_i) a_j / 2,
     conj(b_i) b_j / 2 and (conj(a_i) b_j + conj(b_i) a_j) / 2. shift: of the stabilisation, which is quadratic in z.
@@ -178,6 +181,7 @@ def _points(operator, fields):
     """Yield the areas (points,) of integration points and the derivatives of the fields there, (points, 2, K)."""
 
     def rows(array, starts, shape):
+        """Parts of a flat array from each of `starts` on, reshaped: (starts, *shape)."""
         return array[starts[:, None] + np.arange(np.prod(shape))].reshape(len(starts), *shape)
 
     layout = operator.layout

@@ -135,7 +135,7 @@ class _InModes(FieldBody, part=False):
         return self._shapes
 
     def coordinates(self) -> np.ndarray:
-        """(X_S, s, 0, 0 ...), m."""
+        """The pairs in the reference configuration, complex, m: (X_S, s, 0, 0, ...)."""
         rest = np.zeros(self._shapes.shape[1], complex)
         rest[:2] = self.centre, self._gyration
         return rest
@@ -146,11 +146,11 @@ class _InModes(FieldBody, part=False):
 
     @property
     def gyration(self) -> float:
-        """Radius of gyration s, m, of the plate's M."""
+        """Radius of gyration s, m, by the mass matrix of the plate."""
         return self._gyration
 
     def form(self) -> tuple[np.ndarray, np.ndarray]:
-        """The exact energy of the span."""
+        """(form, shift) of the exact elastic energy in the span of the fields, as `Body.form` describes them."""
         return form_of_fields(self.matrices, self._shapes[:, 1:])
 
     def damping(self) -> tuple[float, float]:
@@ -167,7 +167,7 @@ class _InModes(FieldBody, part=False):
         return float(-0.5 * d @ r), float(np.abs(d).max())
 
     def missing(self, moved: np.ndarray, accelerations: np.ndarray, gravity: complex) -> tuple[np.ndarray, np.ndarray]:
-        """Return (r, d), (2N,) each, in the plate's frame.
+        """Return (r, d), (2N,) each, in axes that turn with the plate.
 
         r is the residual of the full plate for these displacements and accelerations of the pairs, complex; d is its linear response with
         the attachments held.

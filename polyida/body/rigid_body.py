@@ -43,6 +43,7 @@ class PointMass:
     name: str | None = None
 
     def __post_init__(self):
+        """Check that `at` is an attachment, and the other fields. Raises InputError."""
         label = labelled("PointMass", self.name)
         require_attachment(label, self.at)
         check_fields(self, label)
@@ -163,7 +164,7 @@ class RigidBody(Body):
         return np.diag([self.mass, self.mass])
 
     def attachments(self) -> "dict[str, ArrayLike]":
-        """{name: (1, (X - X_S) / s)}."""
+        """Weights of the named points on the pairs (c, z), {name: (1, (X - X_S) / s)}."""
         return {name: [1.0, (complex(*at) - complex(*self.center)) / self.gyration] for name, at in self.points.items()}
 
     def x_axis(self) -> list[float]:
@@ -171,7 +172,7 @@ class RigidBody(Body):
         return [0.0, 1.0 / self.gyration]
 
     def rows(self) -> list[Row | Vector]:
-        """`(|z|^2 - s^2) / (2 s)`."""
+        """The row `(|z|^2 - s^2) / (2 s)`, m, which keeps the length of z constant."""
         return [constant_length(self)]
 
 
@@ -214,7 +215,7 @@ class FieldBody(Body, part=False):
 
     @property
     def thickness(self) -> float:
-        """Thickness of the plate, m."""
+        """Thickness of the body's plate, m."""
         return self.plate.thickness
 
     @cached_property
@@ -232,19 +233,20 @@ class FieldBody(Body, part=False):
         """Do nothing: the constructor has checked the values."""
 
     def section(self, selector: "str | Callable[[np.ndarray], np.ndarray] | ArrayLike") -> Attachment:
-        """Return the mean of a section of the boundary, as `Plate.section` does."""
+        """Return the mean of a section of the plate's boundary: a name of the mesh, a function of its points, or node indices."""
         return replace(self.plate.section(selector), body=self)
 
     def rim(self, hole: int | str = 0) -> Attachment:
-        """Return the mean of the rim of a hole, as `Plate.rim` does."""
+        """Return the rim of a hole of the plate's mesh, by number or section name; its point is the hole's centre."""
         return replace(self.plate.rim(hole), body=self)
 
     def node(self, where: "int | ArrayLike") -> Attachment:
-        """Return one node, as `Plate.node` does."""
+        """Return the attachment of one node of the plate, by its index or nearest to a point (x, y) of the mesh, m."""
         return replace(self.plate.node(where), body=self)
 
     @cached_property
     def _rigid_shapes(self):
+        """The fields of a rigid motion at the nodes: 1 and (X - X_S) / s, (N, 2), complex."""
         _, centre, gyration = self._moments
         arms = complex_of_pairs(self.plate.points - centre)
         return np.stack([np.ones(len(arms)), arms / gyration], axis=1)
@@ -272,7 +274,7 @@ class FieldBody(Body, part=False):
         return self._moments[2]
 
     def coordinates(self) -> np.ndarray:
-        """(X_S, s, 0, 0 ...), m."""
+        """The pairs in the reference configuration, complex, m: (X_S, s, 0, 0, ...)."""
         rest = np.zeros(self.shapes().shape[1], complex)
         rest[:2] = complex(*self._moments[1]), self.gyration
         return rest
@@ -310,7 +312,7 @@ class Rigid(FieldBody):
     turns_only = True
 
     def mass_matrix(self) -> np.ndarray:
-        """diag(mass, mass), by exact area integrals."""
+        """The mass matrix diag(mass, mass), kg, of the pairs (c, z), by exact area integrals."""
         return self._moments[0] * np.eye(2)
 
     def damping(self) -> tuple[float, float]:
@@ -318,5 +320,5 @@ class Rigid(FieldBody):
         return self.plate.material.mass_damping, 0.0
 
     def rows(self) -> list[Row | Vector]:
-        """`(|z|^2 - s^2) / (2 s)`."""
+        """The row `(|z|^2 - s^2) / (2 s)`, m, which keeps the length of z constant."""
         return [constant_length(self)]

@@ -110,6 +110,7 @@ def _make_folder(folder):
 
 
 def _load_run(file):
+    """Return the Trajectory of a file; the import is made here, so that other commands start faster."""
     from polyida.io.load import load
 
     return load(file)
@@ -308,6 +309,7 @@ def list_names(
     from polyida.study.user_files import KNOWN, run_file
 
     def first_line(described):
+        """First line of the docstring of a function or class; empty without one."""
         return (described.__doc__ or "").strip().split("\n")[0]
 
     with document(json) as set_document:

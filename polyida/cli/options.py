@@ -16,7 +16,7 @@ INTEGRATOR_NAMES = ("alpha", "ida", "radau", "energy")
 
 
 def study_scripts() -> dict[str, Path]:
-    """{name: script}; the script of work-precision is work_precision.py."""
+    """{name of a study: path of its script}; the script of work-precision is work_precision.py."""
     return {path.stem.replace("_", "-"): path for path in sorted(study_folder().glob("*.py"))}
 
 
@@ -27,12 +27,12 @@ def script_title(script: Path) -> str:
 
 
 def complete_scene(incomplete: str) -> list[str]:
-    """Names of problems, and Python files."""
+    """Completions of a scene: names of problems, and Python files."""
     return _starting(registry.problems, incomplete) + _files(incomplete)
 
 
 def complete_integrator(incomplete: str) -> list[str]:
-    """Names of integrators, and Python files."""
+    """Completions of an integrator: its names, and Python files."""
     return _starting([*INTEGRATOR_NAMES, *registry.integrators], incomplete) + _files(incomplete)
 
 
@@ -43,11 +43,12 @@ def complete_integrators(incomplete: str) -> list[str]:
 
 
 def complete_study(incomplete: str) -> list[str]:
-    """Names of studies, and Python files."""
+    """Completions of a study: its names, and Python files."""
     return _starting([*study_scripts(), *registry.studies], incomplete.replace("_", "-")) + _files(incomplete)
 
 
 def _starting(names, incomplete):
+    """The names that start with what was typed so far."""
     return [name for name in names if name.startswith(incomplete)]
 
 
@@ -57,12 +58,12 @@ def _files(incomplete):
 
 
 def option(kind, text, *names, **more):
-    """The type of an optional option."""
+    """The annotated type of an option of a command that may be left out; kind: of its value, text: its help."""
     return Annotated[kind | None, typer.Option(*names, help=text, **more)]
 
 
 def flag(text, *names):
-    """The type of an option without a value."""
+    """The annotated type of an option without a value, True if it is given."""
     return Annotated[bool, typer.Option(*names, help=text)]
 
 

@@ -68,7 +68,7 @@ def file_errors():
 
 
 def print_lines(*lines, style="", file=None):
-    """Print the lines that are not empty."""
+    """Print those of the lines that are not empty."""
     from rich.console import Console
     from rich.text import Text
 
@@ -195,21 +195,22 @@ class Grid:
     minor: Sequence[str] = ()
 
     def __post_init__(self):
+        """Escape control characters in all texts and store them as lists."""
         for name in ("headings", "minor"):
             object.__setattr__(self, name, [printable(text) for text in getattr(self, name)])
         object.__setattr__(self, "rows", [[printable(text) for text in row] for row in self.rows])
 
     def transposed(self):
-        """The grid with a column for each row."""
+        """The grid with rows and columns exchanged: a column for each row."""
         headings, *rows = zip(self.headings, *self.rows)
         return Grid(headings, rows)
 
     def values(self, i):
-        """The different values of a column."""
+        """The set of the different texts in column i, without empty ones and dashes."""
         return {row[i] for row in self.rows} - {"", "-"}
 
     def without(self, removed):
-        """The grid without some columns."""
+        """The grid without the columns of these numbers."""
         columns = [i for i in range(len(self.headings)) if i not in removed]
         return Grid([self.headings[i] for i in columns], [[row[i] for i in columns] for row in self.rows])
 

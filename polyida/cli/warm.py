@@ -31,18 +31,22 @@ def plates(order=1, contact=False, friction=0.0, bodies=lambda plate: plate, **m
 
 
 def _run(model, integrator, q0=None):
+    """Run a model for SHORT seconds with an integrator, from q0 or the model's own start."""
     return pi.solve(model, SHORT, integrator, q0=q0)
 
 
 def _small(integrator):
+    """Run the pendulum for SHORT seconds with an integrator: the kernels of small dense models."""
     _run(pi.problems.get("pendulum").model, integrator, [-1.0, 0.0])
 
 
 def _gradient(integrator):
+    """Differentiate the peak stress of a short run with respect to a Young's modulus: the kernels of adjoints."""
     pi.gradient(_run(plates(viscosity=1e-4), integrator), pi.objective.PeakStress(), ["upper.E"])
 
 
 def _rest():
+    """Compute an equilibrium of the plates and its modes, to compile those kernels."""
     model = plates()
     pi.modes(model, pi.static(model))
 
@@ -74,7 +78,7 @@ WORK = {  # those first that have little in common
 
 
 def _kept_in():
-    """The folder of the kernels, or None."""
+    """The folder in which compiled kernels are stored, or None."""
     from polyida.jit import cache  # here, because a file that imports it at its head counts as one that makes kernels
 
     return cache.folder()

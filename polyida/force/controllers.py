@@ -106,11 +106,12 @@ class PID(RotationElement):
     states = ("integral", "filtered")
 
     def __post_init__(self):
+        """Check the fields, and that it acts on a direction. Raises InputError."""
         self.require_rotation()
         check_fields(self, self.label)
 
     def sizes(self) -> list[float]:
-        """Return the torque of an error of 1 rad, and 1 rad."""
+        """Return the sizes of the states: the torque of an error of 1 rad, N m, and 1 rad."""
         return [abs(self.kp) or 1.0, 1.0]
 
     def rates(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -191,7 +192,7 @@ class LinearController(RotationElement):
         return tuple(f"x_{k}" for k in range(len(self.A)))
 
     def rates(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Return A s + B e."""
+        """Return the rates of the states, A s + B e, with the error e = target - angle, rad."""
         error = self.target(t) - measured(self, x, v)[0]
         rates = np.empty(s.shape[0])
         for i in range(s.shape[0]):
@@ -246,6 +247,7 @@ class DCMotor(RotationElement):
     name: str | None = None
 
     def __post_init__(self):
+        """Check the fields, and that R is positive where L = 0. Raises InputError."""
         self.require_rotation()
         check_fields(self, self.label)
         settle(self, R=(number(self.label, "R", self.R, "Ohm", 0.0) if self.L else positive(self.label, "R", self.R, "Ohm")))
@@ -257,11 +259,11 @@ class DCMotor(RotationElement):
 
     @property
     def algebraic(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the algebraic states."""
+        """Names of the algebraic states: the current for L = 0, otherwise none."""
         return () if self.L else ("current",)
 
     def rates(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Return i', or the voltage that is zero for L = 0."""
+        """Return (1,): the rate of the current, A/s, or for L = 0 the voltage that must vanish, V."""
         volts = self.volts(t) - self.R * s[0] - self.k * self.gear * measured(self, x, v)[1]
         return np.array([volts / self.L if self.L > 0.0 else volts])
 
@@ -312,7 +314,7 @@ class Maxwell(ForceElement):
         check_fields(self, self.label)
 
     def sides(self) -> tuple:
-        """Return the points of a and b."""
+        """Return the two points a and b on which the element acts."""
         return self.a, self.b
 
     def rates(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -326,5 +328,5 @@ class Maxwell(ForceElement):
         return np.array(((tension * ux, tension * uy), (-tension * ux, -tension * uy)))
 
     def energy(self, x: np.ndarray, s: np.ndarray) -> float:  # type: ignore[override]  # of an element with states
-        """Return `k (e - s)^2 / 2`, J."""
+        """Return the energy of the spring, `k (e - s)^2 / 2`, J."""
         return 0.5 * self.stiffness * (elongation(self, x)[0] - s[0]) ** 2

@@ -189,7 +189,7 @@ def with_checked_function(element, field, arguments, shape=()):
     """Return the element, in Python, with a user's function that raises InputError unless it returns real numbers of a shape."""
 
     def checked(*values):
-        """The user's function. Raises InputError unless it returns real numbers of the shape."""
+        """Call the user's function. Raises InputError unless it returns real numbers of the shape."""
         answer = function(*values)
         numbers = reals(answer)
         if numbers is None or numbers.shape != shape:

@@ -39,6 +39,7 @@ class PointLoad:
     name: str | None = None
 
     def __post_init__(self):
+        """Check that `at` is an attachment, and the other fields. Raises InputError."""
         label = labelled("PointLoad", self.name)
         require_attachment(label, self.at)
         check_fields(self, label)
@@ -90,7 +91,7 @@ class EdgeTraction:
 
 
 def profile_torque(self, t, x, v):
-    """The forces on the directions of a moment given by a profile."""
+    """Forces on the directions, (sides, 2), of a moment given by a profile of time."""
     return as_forces(x, self.moment(t))
 
 
@@ -139,7 +140,7 @@ class RotationElement(ForceElement, part=False):
         return np.array([[side.rest.real, side.rest.imag] for side in self.sides()])
 
     def sides(self) -> tuple:
-        """Return the direction, or both."""
+        """Return the direction on which it acts, or both directions."""
         return (self.at.d,) if self.against is None else (self.at.d, self.against.d)
 
 
@@ -175,6 +176,7 @@ class Torque(RotationElement):
     name: str | None = None
 
     def __post_init__(self):
+        """Check that it acts on a direction; a moment that is no function of state becomes a profile of time."""
         self.require_rotation()
         if not takes_three(self.moment):
             settle(self, moment=as_profile(self.moment, self.label))
@@ -192,7 +194,7 @@ class Torque(RotationElement):
 
 
 def profile_force(self, t, x, v):
-    """The forces on the sides of a force given by two profiles."""
+    """Forces on the sides of a force given by two profiles of time."""
     return followed(self, x, self.force[0](t), self.force[1](t))
 
 
@@ -261,7 +263,7 @@ class Force(ForceElement):
 
     @property
     def rest_direction(self) -> np.ndarray:
-        """The direction in the reference configuration that it follows, (2,)."""
+        """Direction (2,) in the reference configuration that a follower force follows; zero for a dead force."""
         return np.array([self.at.d.rest.real, self.at.d.rest.imag]) if self.follower else np.zeros(2)
 
     def sides(self) -> tuple:

@@ -41,7 +41,7 @@ def spring_with_function(self, t, x, v):
 
 
 def spring_energy(self, x):
-    """`k e^2 / 2 + N0 e`."""
+    """Energy of the spring, `k e^2 / 2 + N0 e`, J, at the places x of both sides."""
     e, _, _ = elongation(self, x)
     return 0.5 * self.stiffness * e * e + self.preload * e
 
@@ -101,7 +101,7 @@ class SpringDamper(ForceElement):
         return {"forces": spring, "energy": spring_energy}
 
     def sides(self) -> tuple:
-        """Return the points of a and b."""
+        """Return the two points a and b on which the element acts."""
         return self.a, self.b
 
     def forces(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -159,12 +159,13 @@ class TorsionSpring(ForceElement):
     dissipates = True
 
     def __post_init__(self):
+        """Check the fields, and that both sides have directions. Raises InputError."""
         require_sides(self.label, self.a, self.b)
         require_directions(self.label, self.a, self.b)
         check_fields(self, self.label)
 
     def sides(self) -> tuple:
-        """Return the directions of a and b."""
+        """Return the directions of a and b, on which the element acts."""
         a, b = (side.facing(other) if isinstance(side, Ground) else side for side, other in ((self.a, self.b), (self.b, self.a)))
         return a.d, b.d
 
@@ -184,11 +185,11 @@ class TorsionSpring(ForceElement):
         return np.array(((-moment * x[0, 1] / first, moment * x[0, 0] / first), (moment * dy / second, -moment * dx / second)))
 
     def energy(self, x: np.ndarray) -> float:
-        """Return `k (angle - angle0)^2 / 2`, J."""
+        """Return the energy of the spring, `k (angle - angle0)^2 / 2`, J."""
         return 0.5 * self.stiffness * (rotation(self, x) - self.angle) ** 2
 
     def undefined(self, x: np.ndarray) -> str:
-        """Return that the rotation is too large, if it is."""
+        """Return why the moment is undefined, for a rotation of LARGEST or more; otherwise an empty text."""
         angle = rotation(self, x)
         return f"it is turned by {angle:.3g} rad, of which it holds {LARGEST:.3g}" if abs(angle) >= LARGEST else ""
 
@@ -236,17 +237,17 @@ def circle_force(self, t, x, v):
 
 
 def contact_energy(self, depth):
-    """`k depth^(n + 1) / (n + 1)`; zero without contact."""
+    """Energy `k depth^(n + 1) / (n + 1)`, J, of a penalty contact; zero without contact."""
     return self.stiffness * max(0.0, depth) ** (self.exponent + 1.0) / (self.exponent + 1.0)
 
 
 def line_energy(self, x):
-    """Energy of a contact with a line."""
+    """Energy, J, of a penalty contact with a line, at the places x of both sides."""
     return contact_energy(self, line_depth(self, x))
 
 
 def circle_energy(self, x):
-    """Energy of a contact with a circle."""
+    """Energy, J, of a penalty contact with a circle, at the places x of both sides."""
     return contact_energy(self, circle_depth(self, x))
 
 
@@ -301,7 +302,7 @@ class PenaltyContact(ForceElement):
         check_fields(self, self.label)
 
     def compiled_functions(self) -> dict[str, Any]:
-        """Return {"forces", "energy"} of a line or a circle."""
+        """Return {"forces", "energy": function} of a contact with a line or with a circle, for numba."""
         if self.radius is None:
             return {"forces": line_force, "energy": line_energy}
         return {"forces": circle_force, "energy": circle_energy}
@@ -315,7 +316,7 @@ class PenaltyContact(ForceElement):
         return self.compiled_functions()["forces"](self, t, x, v)
 
     def depth(self, x: np.ndarray) -> float:
-        """Return delta, m; negative without contact."""
+        """Return the depth delta, m, of the point; it is negative without contact."""
         return float((line_depth if self.radius is None else circle_depth)(self, x))
 
     def gap(self, x: np.ndarray) -> float:

@@ -16,7 +16,7 @@ def blocks(frames):
 
 
 def each(frames):
-    """One frame after the other, in double precision."""
+    """Iterate over frames one after the other, each (...) in double precision."""
     return (frame for block in blocks(frames) for frame in block)
 
 
@@ -43,22 +43,26 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
         self.nbytes = self.dtype.itemsize * self.size
 
     def __len__(self):
+        """The number of frames, those of the tail included."""
         return self.shape[0]
 
     def __repr__(self):
+        """One line with the numbers of frames and of entries of each."""
         return f"StoredFrames({self.shape[0]} frames of {self.shape[1]}, in a file)"
 
     def __getattr__(self, name):
+        """The attribute of numpy arrays of that name, such as `max`, after reading all frames. Raises AttributeError for others."""
         if name.startswith("_") or not hasattr(np.ndarray, name):
             raise AttributeError(f"StoredFrames has no attribute {name!r}")
         return getattr(np.asarray(self), name)
 
     def __iter__(self):
+        """Iterate over the frames, (width,) each, which are read in pieces."""
         for block in self._pieces(np.arange(len(self))):
             yield from block
 
     def __getitem__(self, key):
-        """Read the indexed frames, in pieces of bounded size; key as of an array."""
+        """Read the frames of an index, slice, list or mask, as an array would give them, in pieces of bounded size."""
         first, *rest = key if isinstance(key, tuple) else (key,)
         rows = np.arange(len(self))[first]
         if first is Ellipsis or rows.ndim > 1:
@@ -99,10 +103,13 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
         return rows if end <= stored else np.concatenate([rows, self._tail[(slice(max(0, first - stored), end - stored), *rest)]])
 
     def __array__(self, dtype=None, copy=None):
+        """All frames as an array (frames, width), for `np.asarray`."""
         return self._read(0, len(self)).astype(dtype or self.dtype, copy=False)
 
     def __array_ufunc__(self, ufunc, method, *inputs, **options):
+        """Apply a ufunc of numpy to all frames, read as arrays."""
         return getattr(ufunc, method)(*(np.asarray(x) if isinstance(x, StoredFrames) else x for x in inputs), **options)
 
     def __reduce__(self):
+        """Pickle the frames as an array in memory."""
         return np.array, (np.asarray(self),)

@@ -45,7 +45,7 @@ def dtypes_of(shapes, single=False):
 
 
 def width_of(shapes):
-    """Numbers of a frame."""
+    """Number of floats of a frame with these shapes, {name: shape}."""
     return sum(int(np.prod(shape)) for shape in shapes.values())
 
 

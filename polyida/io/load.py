@@ -99,12 +99,12 @@ def settings_used(stored, integrator):
 
 
 def sensors_of(stored):
-    """The Sensors of an open run file."""
+    """The Sensors of an open run file with all recorded values."""
     return Sensors(stored.sensors, np.asarray(stored.sensed)) if stored.sensors else Sensors()
 
 
 def _model(stored):
-    """(model, or None, and the reason)."""
+    """(model of the stored scene, or None if it cannot be built; the reason why it is missing)."""
     if stored.about["drives"] and not stored.count:
         return None, "its profiles are functions of a user's own, of which the file holds no value yet"
     try:

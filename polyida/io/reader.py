@@ -70,10 +70,12 @@ class StoredMemory(dict):
     """What an integrator kept for its next step, from a file. An entry that it needs and that is not there is an InputError."""
 
     def __init__(self, path, entries):
+        """Take the path, for messages, and the entries {name: value}."""
         super().__init__(entries)
         self.path = path
 
     def __missing__(self, name):
+        """Raise InputError for an entry that the file does not have."""
         raise InputError(f"{self.path}: the state to go on from is damaged: it has no {name!r}")
 
 
@@ -134,7 +136,7 @@ class Stored:
         return node
 
     def _array(self, name):
-        """A complete dataset: finite float64, int64, or bytes."""
+        """A dataset as an array: finite float64, int64, or bytes. Raises InputError if it is damaged."""
         try:
             values = np.asarray(self._dataset(name)[()])
         except OSError as error:

@@ -39,7 +39,7 @@ def save(run, path, overwrite=False):
 
 
 def free(path_given, overwrite):
-    """The absolute path of a file that can be written, symbolic links followed.
+    """Return the absolute path of a file that can be written, after symbolic links.
 
     Raises InputError if the file exists and must not be overwritten, is being written, or cannot be written there.
     """
@@ -89,7 +89,7 @@ def create(path, model, integrator, n, m, plan, machine, single=False, sensors=N
 
 
 def _is_short(value):
-    """True for a number, a text, True, False, None, and a few numbers."""
+    """True for None, a bool, a number, a text, or a tuple of at most FEW numbers."""
     return (
         value is None
         or isinstance(value, bool | int | float | str)

@@ -102,6 +102,7 @@ class _Encoder:
         return {"body": body, "name": side.name, "length": float(side.length), "key": key} | corners
 
     def _drive(self, name, value):
+        """Store a profile without a formula, of the part of that name, among the drives; return its key."""
         key = f"drive {len(self.drives)}"
         self.drives[key] = name, value
         return key
@@ -120,10 +121,12 @@ class _Encoder:
 
 
 def _plain(value):
+    """An array of numbers as nested lists of floats."""
     return np.asarray(value, float).tolist()
 
 
 def _numbers(value, kinds):
+    """True for a complex number, tuple, list or array whose numpy dtype has one of the letters `kinds`, such as "iuf"."""
     return isinstance(value, (complex, tuple, list, np.ndarray)) and np.asarray(value).dtype.kind in kinds
 
 
@@ -170,7 +173,7 @@ class _Decoder:
         return self.parts[name]
 
     def part(self, entry):
-        """The part of an entry."""
+        """The part of an entry {"kind", "name", "fields"} of the data."""
         was_penalty = entry["kind"] == "Contact" and "stiffness" in entry["fields"]  # its name before
         kind = registry.find(registry.parts, "PenaltyContact" if was_penalty else entry["kind"])
         if kind is None:
@@ -179,7 +182,7 @@ class _Decoder:
         return kind(**values, name=entry["name"])
 
     def value(self, entry, key, value):
-        """The value of the data of a field `key`."""
+        """The value of a field from its plain data `entry`; key: the prefix of its arrays."""
         if not isinstance(value, dict):
             return tuple(value) if isinstance(value, list) else value
         if "unknown" in value:
@@ -236,10 +239,11 @@ class _Decoder:
 
 
 def _real(weights):
-    """Weights as real numbers: complex ones as (k, 2)."""
+    """Weights of a file: real ones unchanged, complex ones (k,) as (k, 2)."""
     return np.stack([weights.real, weights.imag], axis=1) if np.iscomplexobj(weights) else weights
 
 
 def _weights(array, kind):
+    """Weights (k,) of an array of a file: floats for an Attachment, otherwise complex, stored as (k, 2)."""
     weights = np.asarray(array, float)
     return weights if kind is Attachment else weights[:, 0] + 1j * weights[:, 1]

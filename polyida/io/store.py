@@ -94,16 +94,17 @@ class FrameStore:
         self._block = many if self._whole else self._few()  # arrays in the order of FRAMES, then those of the drives
 
     def _bytes(self, frames):
+        """Bytes of so many frames."""
         return frames * sum(prod(shape) * dtype.itemsize for shape, dtype in zip(self._shapes, self._dtypes))
 
     def _many(self):
-        """A block for all frames, a multiple of blocks of the file."""
+        """Arrays for as many frames as memory may hold, in whole blocks of the file."""
         arrays = allocate(self._shapes, self._dtypes, self.limit)
         rows = len(arrays[0]) - (len(arrays[0]) % self.file.rows if self.file else 0)
         return [values[:rows] for values in arrays]
 
     def _few(self):
-        """A block for frames on their way to a file."""
+        """Arrays for one block of frames that are written to the file, or to temporary files without one."""
         self._away = self._away or Spill(self._bytes(1))
         return [np.empty((self._away.rows, *shape), dtype) for shape, dtype in zip(self._shapes, self._dtypes)]
 

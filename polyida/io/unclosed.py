@@ -29,10 +29,11 @@ class Source(io.RawIOBase):
         self._head = body + struct.pack("<I", checksum(body)) if marked else head
 
     def __del__(self):
+        """Close the descriptor of the file."""
         os.close(self._descriptor)
 
     def seek(self, offset, whence=0):
-        """Move the present place; returns it."""
+        """Move the present place by `offset` from the start (whence 0), itself (1) or the end (2); return it, in bytes."""
         self._at = offset + (0, self._at, self.size)[whence]
         return self._at
 

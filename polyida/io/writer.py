@@ -41,7 +41,7 @@ class Table:
             self.block_bytes += count * (prod(chunk) * dtypes[name].itemsize + CHECK)
 
     def make(self, file):
-        """Create the datasets in an open file."""
+        """Create the table's empty datasets in an open HDF5 file."""
         for name, chunk in self.chunks.items():
             options = {"maxshape": (None, *self.shapes[name]), "chunks": chunk, "fletcher32": True}
             file.create_dataset(name, (0, *self.shapes[name]), self.dtypes[name], **options)
@@ -51,7 +51,7 @@ class Table:
         self._datasets = {name: file[name] for name in self.chunks}
 
     def bytes(self, more=0):
-        """Bytes of all chunks with `more` rows."""
+        """Bytes of all chunks of the table with `more` further rows."""
         return -(-(self.count + more) // self.rows) * self.block_bytes
 
     def append(self, block):
@@ -67,6 +67,7 @@ class NotWritten(Exception):
     """Writing failed; `status` is "disk full" or "not written"."""
 
     def __init__(self, path, error):
+        """Take the path and the exception, whose errno gives the status and the message."""
         number = getattr(error, "errno", None)
         self.status = "disk full" if number in FULL else "not written"
         super().__init__(f"{path}: {os.strerror(number) if number else error}")
@@ -163,12 +164,12 @@ class Writer:
 
     @property
     def rows(self):
-        """Frames of a block."""
+        """Number of frames of a block."""
         return self.frames.rows
 
     @property
     def count(self):
-        """Frames in whole blocks."""
+        """Number of frames in the whole blocks that were written."""
         return self.frames.count
 
     def append(self, block, table=None):
@@ -201,6 +202,7 @@ class Writer:
             self.commits, self.committed = self.commits + 1, record["frames"]
 
     def _flush(self):
+        """Hand the data of the file to the operating system, and to the disk if `fsync` is set."""
         self._file.flush()
         if self.fsync:
             os.fsync(self.descriptor)
@@ -279,7 +281,7 @@ class Writer:
             lock(self.descriptor, on=False)
 
     def _discard(self):
-        """Close and remove the file, whatever fails."""
+        """Close and remove the file; errors of either are ignored."""
         with suppress(Exception):
             self.close()
         os.close(self.descriptor)
@@ -300,4 +302,5 @@ def _move_new(source, target):
 
 
 def _listed(value):
+    """A value that JSON does not know as plain data: lists of an array, otherwise its text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)

@@ -38,6 +38,7 @@ class _Listener(event.Listener):
     """Calls functions when numba begins and ends a kind of work."""
 
     def __init__(self, begin, end):
+        """Take two functions of an event of numba, for the begin and the end of the work."""
         self.begin, self.end = begin, end
 
     def on_start(self, event):
@@ -50,6 +51,7 @@ class _Listener(event.Listener):
 
 
 def _begin_to_compile(event):
+    """Tell the Teller, for an event of numba, which function of which module begins to be compiled."""
     function = event.data["dispatcher"].py_func
     _teller.begin(function.__module__, function.__name__)
 
@@ -70,7 +72,7 @@ def entry(function, **options):
 
 
 def shared(function, **options):
-    """A large entry that several entries call and do not take in."""
+    """A large entry that several entries call; its code is not copied into theirs."""
     if not compilers:
         return entry(function, **options)
     return compilers.shared(_around(function, part(function, **options)), function, _COMMON | options)
@@ -82,7 +84,7 @@ def part(function, **options):
 
 
 def fast(function):
-    """A part whose sums may be reordered, and so vectorised."""
+    """Make a part whose sums may be reordered, and so vectorised, by the compiler."""
     return part(function, fastmath=FAST)
 
 
@@ -145,7 +147,7 @@ _c_functions: list = []  # whose addresses are in use
 
 @loading
 def bound(entry, *args):
-    """The compiled function of an entry for arguments of these types."""
+    """Return the compiled function of an entry for arguments of the types of `args`."""
     return entry.compile(tuple(map(numba.typeof, args)))
 
 

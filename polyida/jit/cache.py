@@ -132,6 +132,7 @@ class Files:
     """
 
     def __init__(self, folder, name):
+        """Take the folder of the files and the beginning of their names."""
         self.folder, self.name = folder, name
 
     def save(self, key, data):
@@ -157,4 +158,5 @@ class Files:
         return data if stored == key else None
 
     def _path(self, key):
+        """Path of the file of a signature's machine code; the name ends with a hash of the key."""
         return os.path.join(self.folder, f"{self.name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc")

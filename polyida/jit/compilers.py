@@ -33,7 +33,7 @@ class KernelLower(Lower):
     """Lowers kernels: their indices of arrays are not negative, and code that would count negative ones from the end is a fifth of a step."""
 
     def setup_function(self, fndesc):
-        """Mark the builder of the function."""
+        """Begin a function, and mark its builder: indices of arrays count from zero, never from the end."""
         super().setup_function(fndesc)
         self.builder.counts_from_zero = True
 
@@ -69,6 +69,7 @@ class Entry(CPUDispatcher):
     """A function that Python calls. Compiled code that calls it takes in its part."""
 
     def __init__(self, function, part, compiler, options):
+        """Make a dispatcher of a function. part: what compiled code takes in. compiler: pipeline class. options: of numba.njit."""
         super().__init__(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options}, pipeline_class=compiler)
         self.part, self.known = part, {}
 
@@ -84,6 +85,7 @@ class Entry(CPUDispatcher):
 
     @property
     def _numba_type_(self):
+        """The numba type of the part: compiled code that calls the entry sees the part in its place."""
         return self.part._numba_type_
 
     def typeof_pyval(self, val):
@@ -92,7 +94,7 @@ class Entry(CPUDispatcher):
 
 
 def entry(outer, part, compiler, options, cached=True):
-    """An Entry, stored in `cache.Files` if cached."""
+    """Make an Entry of a Python function and its part; its code is stored in `cache.Files` if cached."""
     new = Entry(outer, part, compiler, options)
     with kernel_cache.cache_folder() as writable:
         if writable and cached:
@@ -102,7 +104,7 @@ def entry(outer, part, compiler, options, cached=True):
 
 
 def c_address(outer, part, kinds, options, cached=True):
-    """The address of a function as a C function."""
+    """Compile a function as a C function of these types and return its address."""
     new = entry(outer, part, EntryCompiler, options | {"no_cpython_wrapper": True, "no_cfunc_wrapper": False}, cached)
     new.compile(kinds)
     result = new.overloads[kinds.args]
@@ -114,7 +116,7 @@ def c_address(outer, part, kinds, options, cached=True):
 
 
 def shared(outer, function, options):
-    """An entry whose part is a call of it."""
+    """Make an entry whose part is a call of its own compiled code, which is not copied into callers."""
     new = entry(outer, None, SharedCompiler, options)
     wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     new.part = numba.njit(pipeline_class=partial(Call, new), **wrappers, **options)(function)
@@ -125,10 +127,11 @@ class OwnCompiler(Compiler):
     """numba's compiler with all its passes, for functions of users."""
 
     def __init__(self, typing, target, library, args, result, flags, local):
+        """Take the arguments of numba's compiler, with the flags as Options, which are compared faster."""
         super().__init__(typing, target, library, args, result, Options(flags), local)
 
     def compile_extra(self, func):
-        """Compile the function."""
+        """Compile a Python function within `faster_numba`."""
         with faster_numba():
             return super().compile_extra(func)
 
@@ -137,7 +140,7 @@ class EntryCompiler(OwnCompiler):
     """The compiler of kernels: functions without closures, literals, parallel loops and array expressions."""
 
     def define_pipelines(self):
-        """The passes that kernels need, from bytecode to machine code."""
+        """A list of one PassManager with the passes that kernels need, from bytecode to machine code."""
         passes = PassManager("kernel")
         for one in PASSES:
             passes.add_pass(one, one.name())
@@ -149,6 +152,7 @@ class _ForLinking:
     """A compiler whose results are linked into callers, without machine code."""
 
     def __init__(self, typing, target, library, *rest):
+        """Take the arguments of numba's compiler, with a _PartLibrary in place of a missing library."""
         super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *rest)
 
 
@@ -179,13 +183,14 @@ class _PartLibrary(JITCodeLibrary):
 class _NoEnvironment:
     @staticmethod
     def set_env(name, environment):
-        """Do nothing."""
+        """Do nothing in place of storing the environment of a function."""
 
 
 class SharedCompiler(EntryCompiler):
     """Gives a function the same name in each process, so that the code of its callers can be stored on disk."""
 
     def _compile_bytecode(self):
+        """Set the number in the function's unique name to 0, then compile its bytecode."""
         self.state.func_id.unique_id = 0
         return super()._compile_bytecode()
 
@@ -194,6 +199,7 @@ class Call:
     """Takes the place of a compiler for a call of a shared entry, which is compiled if it is not yet."""
 
     def __init__(self, entry, typing, target, library, args, *rest):
+        """Take the shared entry, and of the arguments of numba's compiler the target and the argument types."""
         self.entry, self.target, self.args = entry, target, tuple(args)
 
     def compile_extra(self, function):
@@ -211,6 +217,7 @@ class _NoCode(JITCodeLibrary):
     """A library to link that has no code."""
 
     def _get_module_for_linking(self):
+        """The LLVM module to link into callers: the library's own, which is empty."""
         return self._final_module
 
 
@@ -222,6 +229,7 @@ class CompileShared(NamedTuple):
     args: tuple
 
     def __call__(self):
+        """Import the entry from its module and compile it for the argument types."""
         getattr(import_module(self.module), self.name).compile(self.args)
 
 
@@ -229,9 +237,11 @@ class Options(Flags):
     """Options of a compilation. numba compares them ten thousand times; this comparison is faster."""
 
     def __hash__(self):
+        """Hash of the names of the options that are set."""
         return hash(tuple(sorted(self._values)))
 
     def __eq__(self, other):
+        """True if the same options are set to the same values."""
         return self._values == other._values if isinstance(other, Flags) else NotImplemented
 
     def get_mangle_string(self):
@@ -276,6 +286,7 @@ def _call_type(function, context, args, kws):
 
 @cache
 def _stored_call_type(function, context, args):
+    """Signature of a call of a builtin with these argument types, stored after the first search."""
     return _get_call_type(function, context, args, {})
 
 
@@ -286,7 +297,7 @@ def _function(context, key, sig, _firstcall=True):
 
 @cache
 def _sizeof(context, kind):
-    """Bytes of a type, stored: LLVM parses a module each time."""
+    """Number of bytes of a numba type, stored: LLVM parses a module each time."""
     return _get_abi_sizeof(context, kind)
 
 
@@ -297,9 +308,10 @@ def _require_shape(src_shapes, index_shape):
 
 @overload(_require_shape)
 def _compiled_require_shape(src_shapes, index_shape):
-    """The compiled form: the error has one constant text."""
+    """The version of `_require_shape` for compiled code; it always raises, so the caller calls it only for wrong shapes."""
 
     def require_shape(src_shapes, index_shape):
+        """Raise ValueError with a text that does not depend on the shapes."""
         raise ValueError("cannot assign slice from input of different size")
 
     return require_shape

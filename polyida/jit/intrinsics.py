@@ -25,6 +25,7 @@ class Vector(types.Type):
     """`count` numbers of an LLVM type held in registers."""
 
     def __init__(self, count, number=DOUBLE):
+        """Make the numba type of vectors of `count` numbers of an LLVM type."""
         super().__init__(name=f"Vector{count}{number}")
         self.element = ir.VectorType(number, count)
 
@@ -34,6 +35,7 @@ class VectorModel(models.PrimitiveModel):
     """A Vector is an LLVM vector."""
 
     def __init__(self, dmm, fe_type):
+        """Take numba's data model manager and the Vector type, whose LLVM type is the value's."""
         super().__init__(dmm, fe_type, fe_type.element)
 
 
@@ -44,37 +46,44 @@ class Traced:
     """Stand-in for a vector or a number; its arithmetic emits instructions."""
 
     def __init__(self, builder, value):
+        """Take the LLVM builder that collects instructions, and the LLVM value."""
         self.builder, self.value = builder, value
 
     def _both(self, other):
-        """The two values; a number beside a vector is spread over its lanes."""
+        """The LLVM values of self and other; a number beside a vector is repeated in its lanes."""
         values = [self.value, other.value if isinstance(other, Traced) else ir.Constant(DOUBLE, float(other))]
         for vector in (value.type for value in values if isinstance(value.type, ir.VectorType)):
             return [_spread(self.builder, value, vector) for value in values]
         return values
 
     def _emit(self, instruction, operands):
+        """The Traced result of an LLVM instruction such as "fadd"; products and sums may be contracted to fused multiply-adds."""
         return Traced(self.builder, getattr(self.builder, instruction)(*operands, flags=("contract",)))
 
     def __add__(self, other):
+        """The sum; emits `fadd`."""
         return self._emit("fadd", self._both(other))
 
     def __sub__(self, other):
+        """The difference self - other; emits `fsub`."""
         return self._emit("fsub", self._both(other))
 
     def __mul__(self, other):
+        """The product, element by element; emits `fmul`."""
         return self._emit("fmul", self._both(other))
 
     def __truediv__(self, other):
+        """The quotient self / other, element by element; emits `fdiv`."""
         return self._emit("fdiv", self._both(other))
 
     def __rsub__(self, other):
+        """The difference other - self of a number and this; emits `fsub`."""
         return self._emit("fsub", self._both(other)[::-1])
 
     __radd__, __rmul__ = __add__, __mul__
 
     def shuffled(self, other, pattern):
-        """The lanes of the pattern, of self and behind it other."""
+        """The Traced vector of the lanes that `pattern` names, counted through self and then other."""
         return Traced(self.builder, _shuffle(self.builder, self.value, other.value, pattern))
 
     def least(self, other):
@@ -92,9 +101,10 @@ def traced(outputs, vector=lanes):
 
         @type_callable(function)
         def typed(context):
-            """Typer of calls: the result does not depend on the arguments."""
+            """Return the typer of calls, whose result does not depend on the arguments."""
 
             def typer(*args):
+                """Type of the result of a call with any arguments."""
                 return result
 
             typer.pysig = signature(function)
@@ -120,7 +130,7 @@ def traced(outputs, vector=lanes):
 
 
 def _spread(builder, value, vector):
-    """A number in each lane of a vector type; a vector unchanged."""
+    """A number repeated in each lane of an LLVM vector type; a vector unchanged."""
     if value.type == vector:
         return value
     single = builder.insert_element(ir.Constant(vector, ir.Undefined), value, INT32(0))
@@ -128,11 +138,12 @@ def _spread(builder, value, vector):
 
 
 def _shuffle(builder, a, b, pattern):
+    """Emit a shuffle: the vector of those elements of a and, counted on, of b that `pattern`, a list of indices, names."""
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(INT32, len(pattern)), pattern))
 
 
 def _joined(builder, parts):
-    """The parts, 2^k of them, joined to one vector."""
+    """Join 2^k vectors of one type to one vector, in their order."""
     while len(parts) > 1:
         span = list(range(2 * parts[0].type.count))
         parts = [_shuffle(builder, a, b, span) for a, b in zip(parts[::2], parts[1::2])]
@@ -145,6 +156,7 @@ def _address(context, builder, array_type, array, index, element):
 
 
 def _read(builder, pointer, element):
+    """Emit a load from a pointer to `element`, an LLVM type, aligned to 8 bytes for doubles and to 4 otherwise."""
     return builder.load(pointer, align=8 if DOUBLE in (element, getattr(element, "element", None)) else 4)
 
 
@@ -187,6 +199,7 @@ def _zeros(count):
         """Type of the call and the generator of its code."""
 
         def generate(context, builder, sig, args):
+            """Code that makes the tuple of zero vectors."""
             return context.make_tuple(builder, kind, [ir.Constant(lanes.element, None)] * count)
 
         return kind(), generate
@@ -198,9 +211,10 @@ zeros2, zeros3, zeros4 = _zeros(2), _zeros(3), _zeros(4)
 
 
 def _zero(vector, doc):
-    """Intrinsic () -> a zero vector."""
+    """Make an intrinsic of no arguments that returns a zero vector of a Vector type."""
 
     def zero(typing_context):
+        """Type of the call and the generator of its code; gets the docstring `doc`."""
         return vector(), lambda context, builder, sig, args: ir.Constant(vector.element, None)
 
     zero.__doc__ = doc
@@ -217,6 +231,7 @@ def load_spread(typing_context, array, start):
     two = ir.VectorType(SINGLE, 2)
 
     def generate(context, builder, sig, args):
+        """Code that loads the two float32 numbers and repeats each of them COLUMNS times."""
         numbers = _read(builder, _address(context, builder, sig.args[0], args[0], args[1], two), two)
         return _shuffle(builder, numbers, numbers, [0] * COLUMNS + [1] * COLUMNS)
 
@@ -225,7 +240,7 @@ def load_spread(typing_context, array, start):
 
 @intrinsic
 def spread(typing_context, value):
-    """A float in each lane."""
+    """A float64 repeated in each lane of a vector."""
     return lanes(types.float64), lambda context, builder, sig, args: _spread(builder, args[0], lanes.element)
 
 
@@ -247,7 +262,7 @@ def store(typing_context, array, start, values):
 
 @intrinsic
 def lane(typing_context, value, index):
-    """One lane as a float."""
+    """One lane of a vector, by its index, as a float64."""
     return types.float64(lanes, types.intp), lambda context, builder, sig, args: builder.extract_element(*args)
 
 
@@ -285,7 +300,7 @@ def scatter_add(typing_context, array, places, start, offset, values):
     """
 
     def generate(context, builder, sig, args):
-        """Code that adds row after row, so that equal places are added up."""
+        """Code that adds the values row after row, so that values for equal places are added up."""
         columns = [builder.extract_value(args[4], k) for k in range(len(values))]
         where = (sig.args[1], *args[1:4])
         for k, pointer in enumerate(_rows(context, builder, sig.args[0], args[0], where, len(columns))):
@@ -299,9 +314,10 @@ def scatter_add(typing_context, array, places, start, offset, values):
 
 @intrinsic
 def add_pair(typing_context, array, start, value):
-    """array.flat[start : start + 2] += value, a pair."""
+    """Add a pair of doubles to two entries: array.flat[start : start + 2] += value."""
 
     def generate(context, builder, sig, args):
+        """Code that loads the two doubles, adds the pair and stores the sum."""
         pointer = _address(context, builder, sig.args[0], args[0], args[1], pair.element)
         builder.store(builder.fadd(_read(builder, pointer, pair.element), args[2]), pointer, align=8)
         return context.get_dummy_value()
@@ -324,11 +340,13 @@ def call(typing_context, function, arguments):
     """
 
     def integer(context, builder, kind, value):
+        """Code that makes an int64 of one argument: the value of an integer, the bits of a float, or the address of an array or a pack."""
         if isinstance(kind, types.Integer | types.Boolean):
             return context.cast(builder, value, kind, types.int64)
         return builder.bitcast(value, INT64) if isinstance(kind, types.Float) else _place(context, builder, kind, value)
 
     def generate(context, builder, sig, args):
+        """Code that calls the function at the address with ARGUMENTS int64 values; missing ones are 0."""
         given = [integer(context, builder, kind, builder.extract_value(args[1], k)) for k, kind in enumerate(arguments)]
         signature = ir.FunctionType(INT64, [INT64] * ARGUMENTS)
         return builder.call(builder.inttoptr(args[0], signature.as_pointer()), given + [INT64(0)] * (ARGUMENTS - len(given)))
@@ -341,6 +359,7 @@ def address(typing_context, value):
     """Address of the first entry of an array, or of the block of a pack; 0 of None."""
 
     def generate(context, builder, sig, args):
+        """Code that reads the address as an int64."""
         return _place(context, builder, value, args[0])
 
     return types.int64(value), generate
@@ -354,13 +373,13 @@ def integer_of(typing_context, number):
 
 @intrinsic
 def float_of(typing_context, bits):
-    """The float64 behind `integer_of`."""
+    """The float64 with the bits of an int64, the inverse of `integer_of`."""
     return types.float64(types.int64), lambda context, builder, sig, args: builder.bitcast(args[0], DOUBLE)
 
 
 @intrinsic
 def real(typing_context, number):
-    """The float64 at an address."""
+    """Read the float64 at an address in memory."""
     return types.float64(types.int64), lambda context, builder, sig, args: builder.load(builder.inttoptr(args[0], DOUBLE.as_pointer()))
 
 
@@ -370,6 +389,7 @@ def pointer_to(item):
 
     @intrinsic
     def pointer(typing_context, number):
+        """The int64 address `number` as a pointer to items of that type."""
         return kind(types.int64), lambda context, builder, sig, args: builder.inttoptr(args[0], context.get_value_type(kind))
 
     return pointer
@@ -380,6 +400,7 @@ def seen(typing_context, numbers, at):
     """Atomic load of numbers[at], int64, with acquire order: all that another thread wrote before its `leave` of that number is seen too."""
 
     def generate(context, builder, sig, args):
+        """Code of the atomic load with acquire order."""
         return builder.load_atomic(_address(context, builder, sig.args[0], args[0], args[1], INT64), "acquire", 8)
 
     return types.int64(numbers, types.int64), generate
@@ -390,6 +411,7 @@ def leave(typing_context, numbers, at, number):
     """Atomic store numbers[at] = number, int64, visible to other threads."""
 
     def generate(context, builder, sig, args):
+        """Code of the atomic store with release order."""
         builder.store_atomic(args[2], _address(context, builder, sig.args[0], args[0], args[1], INT64), "release", 8)
         return context.get_dummy_value()
 
@@ -402,6 +424,7 @@ def yield_core(typing_context):
     name = "SwitchToThread" if sys.platform == "win32" else "sched_yield"
 
     def generate(context, builder, sig, args):
+        """Code that calls the C function `name` of the operating system, and ignores its result."""
         function = builder.module.globals.get(name) or ir.Function(builder.module, ir.FunctionType(INT32, []), name)
         builder.call(function, [])
         return context.get_dummy_value()

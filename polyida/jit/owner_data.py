@@ -59,6 +59,7 @@ class OwnData:
 
     @cached_property
     def words(self):
+        """The stored values as an array of float64 words, (words,), of which there is at least one."""
         return np.frombuffer(b"".join(self._words) or bytes(8)).copy()
 
     def _field(self, value):
@@ -144,6 +145,7 @@ class ProfileType(types.Type):
     """A profile in compiled code: its value at one time, and that time."""
 
     def __init__(self):
+        """Make the numba type, whose only name is "Profile"."""
         super().__init__("Profile")
 
 
@@ -153,18 +155,19 @@ PROFILE, PAIR = ProfileType(), types.UniTuple(types.float64, 2)
 @register_model(ProfileType)
 class _ProfileModel(models.PrimitiveModel):
     def __init__(self, manager, kind):
+        """Take numba's data model manager and the type; a profile is stored like a pair of floats."""
         super().__init__(manager, kind, manager.lookup(PAIR).get_value_type())
 
 
 @intrinsic
 def as_profile(typing, pair):
-    """(value, time) as a profile."""
+    """Take a pair (value, time) of floats as a profile in compiled code."""
     return PROFILE(PAIR), lambda context, builder, sig, args: args[0]
 
 
 @intrinsic
 def as_pair(typing, profile):
-    """A profile as (value, time)."""
+    """Take a profile in compiled code as the pair (value, time)."""
     return PAIR(PROFILE), lambda context, builder, sig, args: args[0]
 
 

@@ -36,11 +36,12 @@ class _Packed:
         return vars(self).setdefault("_block", block).ctypes.data  # if two threads meet here, both use the first block
 
     def __reduce__(self):
+        """Pickle the pack by its fields; the block is made anew."""
         return type(self), tuple(self)
 
 
 def _words(value):
-    """The words of a field in the block."""
+    """The 8-byte words that stand for the value of a field in the block."""
     if isinstance(value, float):
         return unpack("q", struct("d", value))
     if isinstance(value, np.ndarray):
@@ -68,14 +69,16 @@ class PackType(types.BaseNamedTuple):
         super().__init__(name=f"{label}_{hashlib.sha256(repr(fields).encode()).hexdigest()[:16]}")
 
     def __getitem__(self, number):
+        """The numba type of the field with that number."""
         return self.types[number]
 
     def __len__(self):
+        """The number of fields of the pack."""
         return len(self.types)
 
 
 def _size(kind):
-    """Number of words of a field."""
+    """Number of 8-byte words of a field of a type in the block."""
     return 1 + 2 * kind.ndim if isinstance(kind, types.Array) else 1
 
 
@@ -122,7 +125,7 @@ register_model(PackType)(models.OpaqueModel)  # the address of the block
 
 @unbox(PackType)
 def _unboxed(kind, value, c):
-    """The address of a pack's block, read from the Python object."""
+    """The address of a pack's block as a native value, read from the Python object by emitted code."""
     number = c.pyapi.object_getattr_string(value, "address")
     address = c.pyapi.long_as_voidptr(number)
     c.pyapi.decref(number)
@@ -131,7 +134,7 @@ def _unboxed(kind, value, c):
 
 @lower_getattr_generic(PackType)
 def _field(context, builder, kind, block, name):
-    """A field, read from the block."""
+    """Emit code that reads the field of that name from the block of a pack."""
     (field, position), integer, words = kind.positions[name], context.get_value_type(types.int64), []
     for k in range(position, position + _size(field)):
         words.append(builder.load(builder.bitcast(builder.gep(block, [integer(WORD * k)]), integer.as_pointer())))
@@ -148,7 +151,7 @@ def _field(context, builder, kind, block, name):
 
 
 def _array(context, builder, kind, words):
-    """An array whose memory Python owns."""
+    """Emit code that makes an array, whose memory Python owns, of its words in a block."""
     array, size = context.make_array(kind)(context, builder), words[0].type(context.get_abi_sizeof(context.get_data_type(kind.dtype)))
     items, lengths = words[0].type(1), types.UniTuple(types.int64, kind.ndim)
     for length in words[1 : 1 + kind.ndim]:

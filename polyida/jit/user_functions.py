@@ -98,13 +98,16 @@ class CompiledFunction:
     """A function that Python calls unchanged; compiled code gets its machine code from `for_numba`."""
 
     def __init__(self, function):
+        """Take the Python function, its name and its docstring."""
         update_wrapper(self, function)
         self.function = function
 
     def __call__(self, *arguments):
+        """Call the Python function and return its result."""
         return self.function(*arguments)
 
     def __reduce__(self):
+        """Pickle the function by its qualified name in its module."""
         return self.__qualname__
 
 
@@ -138,6 +141,7 @@ def for_numba(original):
 
 
 def _is_function(value):
+    """True for what `for_numba` converts: a Python function, a CompiledFunction, or a user's function of numba.njit without fixed types."""
     return isinstance(value, FunctionType | CompiledFunction) or is_dispatcher(value) and not of_polyida(value) and value._can_compile
 
 
@@ -243,5 +247,5 @@ def over(label, function, *arrays, shape=()):
 
 @intrinsic
 def frozen(typing, array):
-    """The same array with a read-only type: code that writes into it is not compiled."""
+    """Return the array with a read-only type, without a copy: code that writes into it does not compile."""
     return array.copy(readonly=True)(array), lambda context, builder, sig, args: args[0]

@@ -60,9 +60,11 @@ class Ground:
         return self._vector("direction", self.direction)
 
     def _vector(self, part, value):
+        """A constant vector (2,) as a Vector of a joint's formula; part: "point" or "direction", which it is of this ground."""
         return Vector((Summand(constant=complex(*value), of_ground=((self, part, 1 + 0j),)),))
 
     def __repr__(self):
+        """ "ground", with the coordinates of its point if it has one."""
         return "ground" if self.point is None else f"ground at ({self.point[0]:.6g}, {self.point[1]:.6g})"
 
 
@@ -106,17 +108,17 @@ class Attachment:
         return float(np.abs(self.body.points).max())
 
     def on(self, body: Any) -> "Attachment":
-        """Return the same attachment of a similar body."""
+        """Return this attachment, with its nodes and weights, of a similar body."""
         return replace(self, body=body)
 
     @property
     def turns_only(self) -> bool:
-        """True if the body keeps |d| constant."""
+        """True if the body keeps the length |d| of the direction constant."""
         return self.body.turns_only
 
     @property
     def has_direction(self) -> bool:
-        """True if there is a direction."""
+        """True if the attachment has a direction besides its point."""
         return self.turn_weights is not None
 
     @property
@@ -170,6 +172,7 @@ class Attachment:
         return [of_node(self.body, int(node)) for node in self._outline()[0]]
 
     def __repr__(self):
+        """The labels of the body and of the attachment, for messages."""
         return f"{self.body.label} {printable(self.name)}"
 
 
@@ -185,7 +188,7 @@ def _from_first(body, nodes):
 
 
 def _places(nodes, edges):
-    """Where the ends of edges are among the nodes, (k, 2)."""
+    """Indices (k, 2) of the ends of edges in the list of nodes."""
     order = np.argsort(nodes)
     return order[np.searchsorted(nodes, edges, sorter=order)]
 
@@ -288,7 +291,7 @@ class OwnPart:
 
     @property
     def label(self) -> str:
-        """Name of the part in messages."""
+        """Kind and name of the part for messages."""
         return labelled(type(self).__name__, self.name)
 
 

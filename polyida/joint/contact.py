@@ -105,14 +105,14 @@ class Contact(Joint):
 
     @property
     def placing(self) -> str:  # type: ignore[override]
-        """Advice in the message that the sides are within each other, as drawn."""
+        """Advice for the message that the sides overlap in the drawing: exchange them, or place the bodies apart."""
         of_ground = isinstance(self.a, Ground) and not isinstance(self.b, Ground) and self.radius is None
         exchange = "exchange the sides if the ground is the line, for a is the point and b the line, or " if of_ground else ""
         return f"{exchange}place the bodies apart"
 
     @cached_property
     def edges(self) -> FacingEdges | None:
-        """What faces what if b has edges, else None."""
+        """The FacingEdges of both sides if b has edges, otherwise None."""
         return FacingEdges(self.label, self.a, self.b) if self.radius is None and self.b.has_edges else None
 
     def rows(self) -> list[Row | Vector]:

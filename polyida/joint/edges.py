@@ -86,7 +86,7 @@ class FacingEdges:
         return result
 
     def places(self, x, y, pieces):
-        """The four points of each product, (k, 4, 2)."""
+        """The four points of each product, (k, 4, 2): two of `x`, then two of the edges' ends in `y`."""
         return np.concatenate([x[pieces.points], y[self.others[pieces.edge]]], axis=1)
 
 
@@ -294,7 +294,7 @@ class EdgeRows:
         self.rows, self.points = first + self.step * np.arange(sides.count), len(a)
 
     def at(self, first):
-        """These rows of a contact with another number of the first row."""
+        """A copy of these rows whose first row has the number `first`."""
         other = copy(self)
         other.first, other.rows = first, self.rows + (first - self.first)
         return other

@@ -33,7 +33,7 @@ class Summand:
     rate: bool = False
 
     def times(self, w):
-        """Return the product with the complex number w."""
+        """Return the product with the complex number w, a Summand."""
         terms, of_ground = (tuple((side, part, w * u) for side, part, u in group) for group in (self.terms, self.of_ground))
         return replace(self, terms=terms, constant=w * self.constant, of_ground=of_ground)
 
@@ -60,6 +60,7 @@ class Vector:
     __array_ufunc__ = None  # numpy leaves the operators to this class
 
     def __repr__(self):
+        """One line with the sides of which the vector is made."""
         return f"<vector of {_sides_of(self.summands)}>"
 
     def __add__(self, other: "Vector") -> "Vector":
@@ -73,19 +74,23 @@ class Vector:
         return Vector(tuple(summands.values()))
 
     def __radd__(self, other: object) -> "Vector":
+        """The sum of another vector and this one."""
         return self + _vector(other)
 
     def __sub__(self, other: "Vector") -> "Vector":
+        """The difference of this vector and another one."""
         return self + -_vector(other)
 
     def __rsub__(self, other: object) -> "Vector":
+        """The difference of another vector and this one."""
         return -self + _vector(other)
 
     def __neg__(self) -> "Vector":
+        """The vector times -1."""
         return self * -1.0
 
     def __mul__(self, number: float) -> "Vector":
-        """The vector times a finite number."""
+        """The vector times a finite number, a Vector."""
         if not is_number(number):
             hint = "pi.dot and pi.cross multiply two vectors" if isinstance(number, Vector) else "use a finite number"
             raise InputError(f"a vector of a joint is multiplied by {in_words(number)}; {hint}{_most(number)}")
@@ -94,6 +99,7 @@ class Vector:
     __rmul__ = __mul__
 
     def __truediv__(self, number: float) -> "Vector":
+        """The vector divided by a finite number other than 0."""
         return self * _inverse("a vector", number)
 
     def turned(self, angle: float | Profile) -> "Vector":
@@ -117,6 +123,7 @@ class Vector:
         return self._times(turn / abs(turn))
 
     def _times(self, w):
+        """The vector times a complex number w: rotated by its argument and scaled by |w|."""
         return Vector(tuple(s.times(w) for s in self.summands))
 
     @property
@@ -128,6 +135,7 @@ class Vector:
 
     @property
     def _is_rate(self):
+        """True if the vector is a rate, m/s."""
         return any(s.rate for s in self.summands)
 
     @property
@@ -180,9 +188,11 @@ class Row:
     __array_ufunc__ = None  # numpy leaves the operators to this class
 
     def __repr__(self):
+        """One line with the sides of which the row is made."""
         return f"<row of {_sides_of(s for product in self.products for s in (product.rotated, product.unrotated))}>"
 
     def __add__(self, other: "Row | Profile | float") -> "Row":
+        """The sum of the row and another row, a profile of time, or a number."""
         row = _row(other)
         products, drives = self.products + row.products, self.drives + row.drives
         return replace(self, products=products, constant=self.constant + row.constant, drives=drives)
@@ -190,16 +200,19 @@ class Row:
     __radd__ = __add__
 
     def __sub__(self, other: "Row | Profile | float") -> "Row":
+        """The difference of the row and another row, a profile, or a number."""
         return self + -_row(other)
 
     def __rsub__(self, other: "Row | Profile | float") -> "Row":
+        """The difference of a profile or a number and the row."""
         return -self + other
 
     def __neg__(self) -> "Row":
+        """The row times -1."""
         return self * -1.0
 
     def __mul__(self, number: float) -> "Row":
-        """The row times a finite number."""
+        """The row times a finite number, a Row."""
         if not is_number(number):
             raise InputError(f"a row of a joint is multiplied by {in_words(number)}; use a finite number{_most(number)}")
         scaled = tuple(replace(p, unrotated=p.unrotated.times(complex(number))) for p in self.products)
@@ -209,6 +222,7 @@ class Row:
     __rmul__ = __mul__
 
     def __truediv__(self, number: float) -> "Row":
+        """The row divided by a finite number other than 0."""
         return self * _inverse("a row", number)
 
     @property
@@ -226,7 +240,7 @@ class Row:
 
     @property
     def gap(self):
-        """True for a row that may open."""
+        """True for a unilateral row `phi >= 0`, which may open."""
         return self.law is not None and self.law.restitution is not None
 
     def named(self, label: str, unit: str = "") -> "Row":
@@ -441,6 +455,7 @@ def in_words(value):
 
 
 def _most(value):
+    """The end of a message, with the advice on formulas, if the value is a Row or a Vector; otherwise empty."""
     return f"; {ADVICE}" if isinstance(value, (Row, Vector)) else ""
 
 
@@ -452,10 +467,12 @@ def advice_on(error):
 
 
 def _inverse(what, number):
+    """Return 1 / number. Raises InputError unless it is a finite number other than 0; what: the divided thing, in words."""
     if not is_number(number) or not number:
         raise InputError(f"{what} of a joint is divided by {in_words(number)}; divide by a number that is not 0")
     return 1.0 / number
 
 
 def _sides_of(summands):
+    """The sides that summands are made of, each once, as a text; "the ground alone" if there are none."""
     return ", ".join(dict.fromkeys(repr(side) for s in summands for side, _, _ in s.terms)) or "the ground alone"

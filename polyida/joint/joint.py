@@ -208,9 +208,10 @@ def _moved(side, place):
 
 
 def _held(row, place):
-    """The row on the attachments in the reference configuration."""
+    """The row on the attachments themselves; `place` gives their present places. A constant row of directions alone is made zero there."""
 
     def drawn(summand):
+        """The summand on the attachments themselves in place of those that `_moved` has made."""
         return replace(summand, terms=tuple((getattr(side, "drawn", side), part, w) for side, part, w in summand.terms))
 
     products = tuple(replace(one, rotated=drawn(one.rotated), unrotated=drawn(one.unrotated)) for one in row.products)

@@ -265,7 +265,7 @@ class Distance(Joint):
         settle(self, length=length)
 
     def rows(self) -> list[Row | Vector]:
-        """`(w . w - l^2) / (2 l)`."""
+        """The row `(w . w - l^2) / (2 l)`, m, with w from one point to the other."""
         length: Any = self.length
         w = self.b.x - self.a.x
         return [((dot(w, w) - length**2) / (2.0 * length)).named("", "N")]
@@ -301,7 +301,7 @@ class AngleMotor(Joint):
     directed = ("a", "b")
 
     def rows(self) -> list[Row | Vector]:
-        """`R(theta + theta0) d_A x d_B`."""
+        """The row `R(theta + theta0) d_A x d_B`, which is zero at the prescribed angle."""
         return [fixed_angle(self.a, self.b, self.angle, self.offset)]
 
     def keep_drawing(self) -> None:
@@ -420,6 +420,7 @@ class RollingDisc(Joint):
     directed = ("a", "b")
 
     def __post_init__(self):
+        """Check the fields, and that both sides have places in the plane. Raises InputError."""
         super().__post_init__()
         require_places(self.label, self.a, self.b)
 
@@ -440,7 +441,7 @@ class RollingDisc(Joint):
 
     @property
     def _signed(self):
-        """s r of the line; r, negative inside the circle."""
+        """Radius of the disc with the sign of the side of the line on which it rolls, or of inside (-) and outside (+) of the circle."""
         w = self.b.x.rest - self.a.x.rest
         on_line = self.circle is None
         left = (self.a.d.rest.conjugate() * w).imag >= 0.0 if on_line else max(self.radius, abs(w)) >= self.circle

@@ -43,4 +43,5 @@ __all__ = [
 
 
 def __dir__():
+    """Return the public names of the package, `__all__`, for `dir()`."""
     return __all__

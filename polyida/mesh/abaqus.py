@@ -63,7 +63,7 @@ def _label(name):
 
 @contextlib.contextmanager
 def _named(keyword, line):
-    """Errors name the block, by its keyword and line."""
+    """Context in which an InputError or an error of reading numbers becomes an InputError with the keyword and line of the block."""
     try:
         yield
     except InputError as error:
@@ -94,10 +94,12 @@ def _blocks(text):
 
 
 def _parts(line):
+    """The parts of a line between commas, a list of str; a comma within double quotes does not separate."""
     return re.findall(r'(?:"[^"]*"|[^,"])+', line) or [""]
 
 
 def _options(parts):
+    """{KEY in capitals: value without quotes} of parts such as "nset=left"; the value is "" where a part has no "="."""
     pairs = (part.partition("=") for part in parts)
     return {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs}
 
@@ -106,7 +108,7 @@ class _File:
     """The file as read so far: its parts, the assembly of their instances, supports and loads."""
 
     def __init__(self):
-        """An empty file; what stands outside of parts is read into `main`."""
+        """Make a file without parts; what stands outside of parts is read into `main`."""
         self.main = Part("")  # what stands outside of parts
         self.parts = {}
         self.assembly = None
@@ -135,7 +137,7 @@ class _File:
         method(options, rows)
 
     def raw(self):
-        """Supports and loads find their nodes when all instances are placed."""
+        """The RawMesh of the file: instances are placed first, then supports and loads find their nodes."""
         assembly = self._assembled()
         for _, line, keyword, rows in self.applied:
             with _named(keyword, line):
@@ -152,7 +154,7 @@ class _File:
         return RawMesh(np.array(assembly.points), assembly.cells, sections, supports, self.forces, notes, middles=middles)
 
     def _assembled(self):
-        """The assembly of the file, or one of its only part."""
+        """The assembly of the file; if it has none, a new one of its only part."""
         if self.assembly is not None:
             if self.scope is not self.assembly:
                 raise InputError(f"*INSTANCE {self.scope.name!r} has no *END INSTANCE")
@@ -178,6 +180,7 @@ class _File:
     # --- keywords
 
     def take_include(self, options, rows):
+        """Refuse a keyword that reads another file (INPUT=...): always raise InputError."""
         raise InputError("it cannot be read as .inp: other files are not followed; put their lines here")
 
     def take_part(self, options, rows):
@@ -189,6 +192,7 @@ class _File:
         self.scope = self.parts[name.upper()] = Part(name)
 
     def take_end_part(self, options, rows):
+        """*END PART: nodes, elements and sets that follow belong to the file again, not to the part."""
         self.scope = self.main
 
     def take_assembly(self, options, rows):
@@ -222,11 +226,13 @@ class _File:
         self.scope = self.assembly
 
     def _require_within(self, scope):
+        """Raise InputError unless `scope`, the part, instance, assembly or file itself, is the open one."""
         if self.scope is not scope:
             name = getattr(self.scope, "name", "")
             raise InputError(f"it stands within {'*PART or *INSTANCE ' + repr(name) if name else '*ASSEMBLY'}, which must end before it")
 
     def take_step(self, options, rows):
+        """*STEP: count the steps; supports and loads are stored with the number of their step."""
         self.step += 1
 
     # --- supports and loads

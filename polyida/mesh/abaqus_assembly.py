@@ -13,7 +13,7 @@ class Assembly:
     """Instances in their places, and sets of their nodes; nodes by their order among all instances."""
 
     def __init__(self):
-        """An assembly without instances, sets and nodes of its own."""
+        """Make an assembly without instances, sets and nodes of its own."""
         self.instances, self.sets = {}, {}  # by their names in capitals
         self.element_sets = {}  # {name in capitals: {(instance, number of an element): None}}
         self.points, self.cells, self.middles, self.notes = [], [], [], []
@@ -80,6 +80,7 @@ class Assembly:
     # --- keywords
 
     def take_node(self, options, rows):
+        """*NODE of the assembly: store the numbers of its reference points, which are nodes of no instance."""
         self.references.update(int(number) for number, *_ in rows)
 
     def take_element(self, options, rows):
@@ -136,16 +137,18 @@ class Assembly:
         raise InputError(f"{what} names the element set {target!r}, which no *ELSET before it gives")
 
     def take_transform(self, options, rows):
+        """*TRANSFORM: note the nodes of a set whose axes are turned, so that supports and loads on them are refused."""
         self.turned.update(self.find(options.get("NSET", ""), "it") or [])
 
     def _of(self, target, what):
-        """Nodes of an entry of a set; none of a reference point."""
+        """The nodes that an entry of a set names, by their order among all instances; none for a reference point."""
         nodes = self.find(target, what)
         if nodes is None and not (str(target).isdecimal() and int(target) in self.references):
             raise InputError(f"{what} names {self.missing(target)}")
         return nodes or []
 
     def _instance(self, name):
+        """The instance of a name, in capitals or not. Raises InputError with the known names if there is none."""
         if name.upper() not in self.instances:
             raise InputError(f"there is no instance {name!r}; there are {listed(instance.name for instance in self.instances.values())}")
         return self.instances[name.upper()]
@@ -179,5 +182,5 @@ def placed(instance, rows):
 
 
 def listed(names):
-    """Names in quotes, with commas."""
+    """A text of the names in quotes, with commas between them, for messages."""
     return ", ".join(map(repr, names))

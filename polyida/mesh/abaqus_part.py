@@ -22,7 +22,7 @@ OUT_OF_PLANE = 1e-9  # relative to a length
 
 
 def targets(options, rows):
-    """Numbers and names in the rows of a set."""
+    """The numbers and names in the rows of a block *NSET or *ELSET; with GENERATE, all numbers of each range."""
     if "GENERATE" in options:
         rows = [range(int(first), int(last) + 1, int(step[0]) if step else 1) for first, last, *step in rows]
         _require_few(sum(map(len, rows)))
@@ -30,11 +30,12 @@ def targets(options, rows):
 
 
 def numbers(row, count):
-    """The first numbers of a row of texts; what is missing is 0."""
+    """The first `count` entries of a row of texts as floats; 0 for what is missing."""
     return [float(FORTRAN.sub("e", text) or 0) for text in [*row, *["0"] * count][:count]]
 
 
 def _require_few(count):
+    """Raise InputError if a keyword generates more than MOST numbers."""
     if count > MOST:
         raise InputError(f"it generates {count} numbers, more than a file can have")
 
@@ -43,7 +44,7 @@ class Part:
     """What is read of a part so far; nodes by their order in the file, sets by their names in capitals."""
 
     def __init__(self, name):
-        """A part of this name without nodes, elements and sets."""
+        """Make a part of this name without nodes, elements and sets."""
         self.name, self.part = name, name  # part: of which it is an instance
         self.notes = []
         self.points, self.labels, self.places = [], [], {}  # labels: numbers of the points in the file; places: the inverse
@@ -57,7 +58,7 @@ class Part:
         self.first = 0  # of the points among those of all instances
 
     def instance(self, name):
-        """A copy of its own name, which takes further nodes, elements and sets."""
+        """A copy of the part under another name, to which nodes, elements and sets can be added."""
         other = Part(name)
         for field, value in vars(self).items():
             setattr(other, field, copy(value))
@@ -73,7 +74,7 @@ class Part:
         return int(target) in self.places if target.isdecimal() else target.upper() in self.node_sets or bool(self._of_lines(target))
 
     def nodes(self, target, what):
-        """Nodes of a node number or of a set's name."""
+        """The nodes, by their order in the file, of a node's number or of a set's name."""
         target = str(target).strip('"')
         if not self.has(target):
             raise InputError(f"{what} names {self._missing(target)}")
@@ -82,7 +83,7 @@ class Part:
         return list(self.node_sets[target.upper()][1]) if target.upper() in self.node_sets else self._of_lines(target)
 
     def members(self, options, rows):
-        """Nodes of a block *NSET."""
+        """The nodes of a block *NSET: of an element set, or of node numbers and names of node sets."""
         what = f"set {options.get('NSET', '')!r}"
         if "ELSET" in options:
             return self.nodes_of_elements(self.element_numbers(options["ELSET"], what))
@@ -98,7 +99,7 @@ class Part:
         return list(self.element_sets[target.upper()][1])
 
     def nodes_of_elements(self, members):
-        """Nodes of elements by number, each once."""
+        """The nodes of elements, given by their numbers, in their order and each once."""
         nodes = (self.places[node] for number in members for node in self.elements.get(number, []))
         return list(dict.fromkeys(nodes))
 
@@ -110,6 +111,7 @@ class Part:
     # --- keywords
 
     def take_heading(self, options, rows):
+        """*HEADING: note whether its text says that meshio wrote the file."""
         self.by_meshio = any("written by meshio" in text for row in rows for text in row)
 
     def take_system(self, options, rows):
@@ -147,7 +149,7 @@ class Part:
         self._name_nodes(options, range(known, len(self.points)))
 
     def take_ngen(self, options, rows):
-        """Nodes on a straight line between two."""
+        """*NGEN: add nodes at equal distances on the straight line between two nodes."""
         if "LINE" in options or "SYSTEM" in options:
             raise InputError("only straight lines between two nodes can be generated; let Abaqus write the nodes out")
         chosen = []
@@ -195,7 +197,7 @@ class Part:
             _join(self.element_sets, name, map(int, first))
 
     def take_elgen(self, options, rows):
-        """Copies of an element along a row and in further rows."""
+        """*ELGEN: add copies of an element along a row and in further rows."""
         chosen = []
         for row in rows:
             entries = [int(text or 1) for text in [*row, *["1"] * 8][:8]]
@@ -216,6 +218,7 @@ class Part:
             _join(self.element_sets, name, chosen)
 
     def take_nset(self, options, rows):
+        """*NSET: add the nodes of the block to the set of nodes of that name."""
         _join(self.node_sets, options.get("NSET", ""), self.members(options, rows))
 
     def take_elset(self, options, rows):
@@ -228,12 +231,13 @@ class Part:
         )
 
     def take_solid_section(self, options, rows):
-        """Bars with a section are more than the boundary of cells."""
+        """*SOLID SECTION: note that bars of its element set are left out; only plane cells are read."""
         name = options.get("ELSET", "")
         if self._of_lines(name):
             self.notes.append(f"left out the bars of the element set {name!r}")
 
     def take_transform(self, options, rows):
+        """*TRANSFORM: note the nodes of a set whose axes are turned, so that supports and loads on them are refused."""
         self.turned.update(self.nodes(options.get("NSET", ""), "it"))
 
     # --- nodes and elements
@@ -247,6 +251,7 @@ class Part:
         self.points.append(place)
 
     def _name_nodes(self, options, nodes):
+        """Add the nodes of a block *NODE or *NGEN to the set that its option NSET names, if it names one."""
         if name := options.get("NSET"):
             _join(self.node_sets, name, nodes)
 
@@ -259,6 +264,7 @@ class Part:
         return [self.places[label + i * step] for i in range(1, count)]
 
     def _add_element(self, number, nodes):
+        """Store the nodes of an element under its number. Raises InputError if the number is used already."""
         if number in self.elements:
             raise InputError(f"element {number} is given twice")
         self.elements[number] = nodes
@@ -296,12 +302,13 @@ class Part:
         )
 
     def _of_lines(self, name):
+        """The nodes of the line and point elements in an element set, each once; empty for an unknown set."""
         _, members = self.element_sets.get(name.upper(), (name, {}))
         return self.nodes_of_elements(number for number in members if number in self.lower)
 
 
 def _steps(length, step):
-    """Number of steps in a length; both whole."""
+    """The number of steps of whole length `step` in a whole `length`. Raises InputError if it is not whole or not positive."""
     if step == 0 or length % step or length // step < 1:
         raise InputError(f"its numbers are {length} apart, in steps of {step}; the steps must lead from the first to the last")
     _require_few(length // step)
@@ -309,5 +316,5 @@ def _steps(length, step):
 
 
 def _join(sets, name, members):
-    """Add members to a set, which has each of them once."""
+    """Add members to the set of that name; each member is in it once."""
     sets.setdefault(name.upper(), (name, {}))[1].update(dict.fromkeys(members))

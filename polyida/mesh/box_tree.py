@@ -120,7 +120,7 @@ class EdgeTree:
         return np.clip(np.sum(to * along, axis=-1) / np.maximum(np.sum(along * along, axis=-1), 1e-300), 0.0, 1.0)
 
     def _away(self, points, point, piece):
-        """Distance between points and pieces, by their numbers."""
+        """Distances, m, between points and pieces (edges or circles), both given by their numbers."""
         if not len(self.start):
             return self._from_circles(points[point], piece)
         here, edge = points[point], np.minimum(piece, len(self.start) - 1)
@@ -131,11 +131,12 @@ class EdgeTree:
         return away
 
     def _from_circles(self, points, circle):
+        """Distances, m, of points (..., 2) from the rims of circles, by the numbers of the circles."""
         return np.abs(np.sqrt(np.sum((points - self.middle[circle]) ** 2, axis=-1)) - self.radius[circle])
 
 
 def _parts(level, first, second):
-    """[(level, pairs)] of at most AT_ONCE pairs each."""
+    """Split pairs of boxes of a level into [(level, first, second)] of at most AT_ONCE pairs each."""
     return [(level, first[a : a + AT_ONCE], second[a : a + AT_ONCE]) for a in range(0, len(first), AT_ONCE)]
 
 
@@ -178,6 +179,7 @@ def first_crossing(start, end, after):
 
 
 def _side(p, q, r):
+    """Side of the points r on which they lie of the lines from p to q, all (n, 2): 1 left, -1 right, 0 on the line."""
     return np.sign(cross(q - p, r - p))
 
 

@@ -10,6 +10,7 @@ from polyida.validation import LARGEST, as_array, floats, is_flag, is_whole, rea
 
 
 def _frozen(array, dtype):
+    """A read-only C-contiguous copy of an array, with that dtype."""
     copy = np.array(array, dtype=dtype, order="C")
     copy.flags.writeable = False
     return copy
@@ -107,7 +108,7 @@ STRAIGHT = 1e-9  # rad: so far round-off turns a straight side at its middle nod
 
 
 def described(mesh, cell):
-    """Return 'cell 3 at (0.1, 0.2)'."""
+    """Return the cell with its place in words, such as 'cell 3 at (0.1, 0.2)'."""
     x, y = mesh.points[mesh.cell(cell)].mean(axis=0)
     return f"cell {cell} at ({x:.6g}, {y:.6g})"
 
@@ -200,6 +201,7 @@ def overlapping_cells(mesh):
     round_off = 8 * np.finfo(float).eps * np.abs(mesh.points).max()
 
     def owner(edge):
+        """Number of the cell that has a directed edge, (2,) nodes."""
         return int(topology.corner_cells(mesh.offsets)[np.argmax((all_edges == edge).all(axis=1))])
 
     def separated(a, b, depth):

@@ -187,6 +187,7 @@ def _cut(points, cell, smallest_turn):
     ring = np.roll(cell, -int(np.argmin(turn)))
 
     def pieces(k):
+        """The two pieces, arrays of nodes, into which the cut from corner 0 to corner k divides the cell."""
         return ring[: k + 1], np.r_[ring[0], ring[k:]]
 
     def merit(k):

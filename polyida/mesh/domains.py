@@ -39,22 +39,24 @@ class Line(Wall):
     sign: float
 
     def distance(self, points):
+        """Signed distance of points (n, 2) from the line, (n,), m, negative inside."""
         return self.sign * (points[:, self.axis] - self.value)
 
     def normal(self, points):
-        """(n, 2) gradient of the distance."""
+        """(n, 2) gradient of the signed distance, the unit normal that points outwards."""
         n = np.zeros_like(points)
         n[:, self.axis] = self.sign
         return n
 
     def samples(self, lower, upper):
-        """(200, 2) points of the wall, here those within a box."""
+        """(200, 2) points of the line from one side of the box (lower, upper) to the other."""
         share = (np.arange(200) + 0.5) / 200
         points = lower + share[:, None] * (upper - lower)
         points[:, self.axis] = self.value
         return points
 
     def moved(self, offset):
+        """Return the line translated by an offset (2,), m."""
         return replace(self, value=self.value + offset[self.axis])
 
 
@@ -69,15 +71,18 @@ class Capsule(Wall):
     closed = True
 
     def _from_segment(self, points):
+        """Vectors (n, 2), m, to points (n, 2) from their nearest positions on the segment."""
         along = self.end - self.start
         share = np.clip((points - self.start) @ along / max(along @ along, 1e-300), 0.0, 1.0)
         return points - self.start - share[:, None] * along
 
     def distance(self, points):
+        """Signed distance of points (n, 2) from the wall, (n,), m, negative inside."""
         away = self._from_segment(points)
         return self.sign * (np.hypot(away[:, 0], away[:, 1]) - self.radius)
 
     def normal(self, points):
+        """(n, 2) gradient of the signed distance at points (n, 2), of length one; zero on the segment itself."""
         away = self._from_segment(points)
         return self.sign * away / np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-300)[:, None]
 
@@ -89,6 +94,7 @@ class Capsule(Wall):
         return np.where(ahead[:, None], self.end, self.start) + self.radius * ray
 
     def moved(self, offset):
+        """Return the capsule translated by an offset (2,), m."""
         return replace(self, start=self.start + offset, end=self.end + offset)
 
 
@@ -151,6 +157,7 @@ class Chain:
 
     @cached_property
     def _edges(self):
+        """The EdgeTree of the chain's edges, which finds the nearest edge to each point."""
         return EdgeTree(self.vertices[:-1], np.diff(self.vertices, axis=0))
 
     def _nearest_of_many(self, points):
@@ -190,14 +197,17 @@ class Chain:
         return (where == 0) | np.where(where < 0, *self.outward)
 
     def samples(self, lower, upper):
+        """(200, 2) points of the chain at equal distances along it; the bounds of the domain are not needed."""
         ends = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.vertices, axis=0).T))])
         at = ends[-1] * (np.arange(200) + 0.5) / 200
         return np.column_stack([np.interp(at, ends, column) for column in self.vertices.T])
 
     def flipped(self):
+        """Return the chain with inside and outside exchanged, also at its continuations."""
         return replace(self, sign=-self.sign, outward=tuple(not out for out in self.outward))
 
     def moved(self, offset):
+        """Return the chain translated by an offset (2,), m."""
         return replace(self, vertices=self.vertices + offset)
 
 
@@ -254,12 +264,15 @@ class Domain:
         return on & (around < 0.0).any(axis=0) & (around > 0.0).any(axis=0)
 
     def __or__(self, other: "Domain") -> "Union":
+        """Return the union of both domains."""
         return Union(self, other)
 
     def __sub__(self, other: "Domain") -> "Difference":
+        """Return this domain without the other one."""
         return Difference(self, other)
 
     def __and__(self, other: "Domain") -> "Intersection":
+        """Return the intersection of both domains."""
         return Intersection(self, other)
 
 
@@ -346,6 +359,7 @@ class Union(Pair):
         self.lower, self.upper = np.minimum(first.lower, second.lower), np.maximum(first.upper, second.upper)
 
     def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return the signed distance of points (n, 2), (n,), m, negative inside: the smaller one of both domains' distances."""
         return np.minimum(self.first.distance(points), self.second.distance(points))
 
 
@@ -372,6 +386,7 @@ class Intersection(Pair):
         self.convex = first.convex and second.convex
 
     def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return the signed distance of points (n, 2), (n,), m, negative inside: the larger one of both domains' distances."""
         return np.maximum(self.first.distance(points), self.second.distance(points))
 
 
@@ -396,6 +411,7 @@ class Difference(Pair):
         self.walls = first.walls + [wall.flipped() for wall in second.walls]
 
     def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return the signed distance of points (n, 2), (n,), m, negative inside: the larger one of d_first and -d_second."""
         return np.maximum(self.first.distance(points), -self.second.distance(points))
 
 
@@ -411,12 +427,15 @@ class Moved(Domain):
         self.walls = [wall.moved(offset) for wall in domain.walls]
 
     def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return the signed distance of points (n, 2) from the translated domain, (n,), m, negative inside."""
         return self.domain.distance(points - self.offset)
 
     def corners(self) -> np.ndarray:
+        """Return the corners (k, 2), m, of the translated domain."""
         return self.domain.corners() + self.offset
 
     def on_boundary(self, points: np.ndarray) -> np.ndarray:
+        """Return the (n,) mask of points (n, 2) on the boundary of the translated domain."""
         return self.domain.on_boundary(points - self.offset)
 
 

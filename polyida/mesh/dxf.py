@@ -55,10 +55,12 @@ class _OtherThreads(logging.Filter):
     """Drops the messages of this thread."""
 
     def __init__(self):
+        """Make a filter that drops the log messages of the thread that calls this."""
         super().__init__()
         self.thread = threading.get_ident()
 
     def filter(self, record):
+        """True for a log record of another thread, which is kept."""
         return record.thread != self.thread
 
 
@@ -136,10 +138,11 @@ class _Shown:
             self._take(insert.virtual_entities(skipped_entity_callback=self._cannot_be_placed), layer)
 
     def _cannot_be_placed(self, entity, reason):
+        """Count an entity of a block that ezdxf cannot place as skipped, by its DXF type; a callback of ezdxf."""
         self.skipped[entity.dxftype()] += 1
 
     def _state(self, layer):
-        """(True if a layer is frozen, True if it is switched off)."""
+        """(True if a layer is frozen, True if it is switched off); both False for the chosen layer and for an unknown one."""
         if layer == self.part or not self.document.layers.has_entry(layer):
             return False, False
         entry = self.document.layers.get(layer)

@@ -32,11 +32,13 @@ class Unresolved(InputError):
     """The cells are too few to follow the boundary. places: (n, 2) points of the boundary where they fail; none if only the area is wrong."""
 
     def __init__(self, message, places=()):
+        """Take the message, and the places (n, 2), m, of the boundary that the cells do not follow."""
         super().__init__(message)
         self.places = np.reshape(places, (-1, 2))
 
 
 def _whole(function, name, value, least):
+    """Return the argument `name` of a function as an int. Raises InputError unless it is whole and from `least` to 10^9."""
     if not is_whole(value, least, 10**9):
         raise InputError(f"{function}: {name} = {value!r} must be a whole number from {least} to {10**9}")
     return operator.index(value)
@@ -188,6 +190,7 @@ def rectangle(
 
 
 def _sides(points, length, height):
+    """{"left", "right", "top", "bottom": nodes} on the sides of the rectangle 0 <= x <= length, |y| <= height / 2, for points (n, 2)."""
     x, y = points.T
     masks = {"left": x == 0.0, "right": x == length, "top": y == 0.5 * height, "bottom": y == -0.5 * height}
     return {name: np.flatnonzero(mask) for name, mask in masks.items()}
@@ -299,7 +302,7 @@ def voronoi_polygons(domain, cells, seed, iterations, tolerance=5e-3, start=None
 
 
 def _apart(seeds, fixed, size):
-    """The seeds that are not between the fixed ones around a corner."""
+    """The seeds whose distance from each fixed seed is more than 0.6 of the local size of cells; size(points): (n,), m."""
     for one in fixed:
         seeds = seeds[np.linalg.norm(seeds - one, axis=1) > 0.6 * size(one[None])]
     return seeds

@@ -93,6 +93,7 @@ def _silent_meshio():
 
         class Silent(Console):
             def print(self, *args, **kwargs):
+                """Print, except in a thread that reads or writes a mesh here."""
                 if not getattr(_THIS_THREAD, "silent", False):
                     super().print(*args, **kwargs)
 
@@ -138,7 +139,7 @@ def _largest_binary_tag(content, sizes_of_eight):
 
 
 def _family(kind):
-    """'triangle' of 'triangle6', 'line' of 'line3', ..."""
+    """Kind of a cell without its number of nodes: 'triangle' of 'triangle6', 'line' of 'line3'."""
     return kind.rstrip("0123456789")
 
 
@@ -233,11 +234,13 @@ def _groups(mesh):
 
 
 def _node_text(point):
+    """A point (2,) as the text "x y 0", its coordinates with all digits."""
     x, y = point.tolist()
     return f"{x!r} {y!r} 0"
 
 
 def _write_msh(path, version, groups, parts):
+    """Write a Gmsh file .msh: the header, the physical groups (dim, number, name, ...), and the further parts {name: rows of text}."""
     names = [str(len(groups)), *(f'{dim} {number} "{name}"' for dim, number, name, _ in groups)]
     parts = {"MeshFormat": [f"{version} 0 8"], "PhysicalNames": names} | parts
     path.write_text("".join("\n".join([f"${name}", *rows, f"$End{name}", ""]) for name, rows in parts.items()), encoding="utf-8")

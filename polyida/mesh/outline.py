@@ -72,6 +72,7 @@ class Outline(Domain):
 
     @cached_property
     def _boundary(self):
+        """The _Boundary of all rings, which computes signed distances."""
         return _Boundary(self._rings)
 
     def on_boundary(self, points: np.ndarray) -> np.ndarray:
@@ -144,7 +145,7 @@ class _Boundary:
 
 
 def _points(corners, what, orientation):
-    """(n, 2) without equal neighbours, counter-clockwise for orientation 1."""
+    """Corners as (n, 2) without equal neighbours, counter-clockwise for orientation 1, clockwise for -1. Raises InputError."""
     points = floats(corners)
     if points is None or points.ndim != 2 or points.shape[1] != 2 or not len(points):
         raise InputError(f"{what} is {repr(corners)[:80]}; it must be an (n, 2) array of finite numbers")
@@ -283,7 +284,7 @@ def svg_path(path: str, unit: str | float | None = None, corner: float = 15.0) -
 
 
 def _outline(what, read, unit, corner):
-    """Outline of the drawing that read() returns; every error names `what`."""
+    """Outline of the drawing that read() returns, its largest ring with the others as holes; every error names `what`."""
     try:
         drawing = read()
         if not drawing.rings:

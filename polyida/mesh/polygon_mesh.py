@@ -107,19 +107,21 @@ class PolygonMesh:
             settle(self, sections=MappingProxyType({name: of_whole_sides(self, nodes) for name, nodes in named.items()}))
 
     def __reduce__(self):
+        """Pickle the mesh by the arguments of its constructor, its mappings as plain dictionaries."""
         return PolygonMesh, (self.points, self.nodes, self.offsets, *map(dict, (self.sections, self.supports, self.loads)), self.order)
 
     def __repr__(self):
+        """One line with the numbers of cells and nodes, and the names of the sections."""
         return f"PolygonMesh({self.n_cells} cells, {self.n_nodes} nodes, sections {', '.join(self.sections) or 'none'})"
 
     @property
     def n_nodes(self) -> int:
-        """Number of nodes."""
+        """Number of nodes, those without a cell included."""
         return len(self.points)
 
     @property
     def n_cells(self) -> int:
-        """Number of cells."""
+        """Number of cells of the mesh."""
         return len(self.offsets) - 1
 
     def cell(self, i: int) -> np.ndarray:
@@ -129,17 +131,17 @@ class PolygonMesh:
 
     @cached_property
     def cell_areas(self) -> np.ndarray:
-        """(n_cells,), m^2."""
+        """Areas of the cells, (n_cells,), m^2."""
         return self._measures[0]
 
     @cached_property
     def cell_centroids(self) -> np.ndarray:
-        """(n_cells, 2), m."""
+        """Centroids of the cells, (n_cells, 2), m."""
         return self._measures[1]
 
     @cached_property
     def _measures(self):
-        """Areas and centroids of the cells."""
+        """(areas (n_cells,), m^2; centroids (n_cells, 2), m) of the cells, with curved sides of order 2."""
         cells = self.points, self.nodes, self.offsets
         return topology.curved_measures(*cells) if self.order == 2 else (topology.areas(*cells), topology.centroids(*cells))
 
@@ -160,7 +162,7 @@ class PolygonMesh:
 
     @cached_property
     def boundary_nodes(self) -> np.ndarray:
-        """Sorted nodes of the boundary."""
+        """Sorted numbers of all nodes on the boundary."""
         return np.unique(self.boundary_edges)
 
     @cached_property

@@ -77,6 +77,7 @@ def _variables(path):
 
 
 def _numbers(value, name):
+    """A variable of a .mat file as an array of floats. Raises InputError, with its name, if it is no array of numbers."""
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "iufb":
         raise InputError(f"{name} is no array of numbers")
     return value.astype(float)

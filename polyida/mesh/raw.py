@@ -80,7 +80,7 @@ def unit_note(points, unit, of_file):
 
 
 def counted(count, what):
-    """Return '1 cell', '2 cells'."""
+    """Return a number with its noun in singular or plural: '1 cell', '2 cells'."""
     return f"{count} {what}" + ("" if count == 1 else "s")
 
 
@@ -145,7 +145,7 @@ def _with_three_corners(nodes, offsets, notes):
 
 
 def _counter_clockwise(points, nodes, offsets, notes):
-    """The nodes of all cells, those of clockwise cells in reverse order."""
+    """The nodes of all cells with those of clockwise cells in reverse order; notes say how many there were."""
     cell = topology.corner_cells(offsets)
     mirror = offsets[cell] + offsets[cell + 1] - 1 - np.arange(len(nodes))
     turned = topology.areas(points, nodes, offsets) < 0.0
@@ -307,7 +307,7 @@ def _merged(points, used, tolerance, notes):
 
 
 def _at_nodes(what, raw, place, kind):
-    """{node: [pairs of its points]} of raw.supports or raw.loads."""
+    """{node: [pairs of its points]} of the supports or loads of a RawMesh; place: the node of each point, -1 if it has none."""
     nodes = {}
     for point, pair in checks.node_pairs(what, getattr(raw, what), len(place) + raw.first, kind).items():
         if point < raw.first or place[point - raw.first] < 0:

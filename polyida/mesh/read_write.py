@@ -183,6 +183,7 @@ def put(part, path, overwrite, write):
 
 
 def _merge_tolerance(tolerance):
+    """The tolerance, relative to the size of the mesh, within which points are merged, as a float. Raises InputError unless 0 <= it < 1."""
     if not is_number(tolerance) or not 0 <= tolerance < 1:
         raise InputError(f"merge tolerance is {tolerance!r}; it must be a share of the mesh's size from 0 to below 1")
     return float(tolerance)

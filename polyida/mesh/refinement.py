@@ -109,7 +109,7 @@ def _divided(mesh, chosen):
 
 
 def remeshed(mesh, cells):
-    """A mesh of the same outline and sections of about `cells` equal cells."""
+    """A new mesh of about `cells` equal cells with the outline and the sections of a mesh."""
     if mesh.order == 2:
         return remeshed(mesh.linear, cells).quadratic
     outer, *holes = outline_of(mesh)

@@ -210,7 +210,7 @@ def _set_absent_sizes(element, tag):
 
 
 def _style_as_attributes(element):
-    """Lengths and display may stand in the style, which has priority."""
+    """Move lengths and display from the style of an element, which has priority, to its attributes."""
     pairs = [pair.partition(":") for pair in element.get("style", "").split(";")]
     for name, _, value in pairs:
         if name.strip() in (*ALONG_X, *ALONG_Y, "r", "display"):
@@ -221,11 +221,12 @@ def _style_as_attributes(element):
 
 
 def _tag(element):
+    """The tag of an SVG element without its namespace, for example "path"."""
     return str(element.tag).removeprefix(SPACE)
 
 
 def _target(element):
-    """Id that a <use> names, or None."""
+    """The id of the element that a <use> repeats, or None."""
     links = [element.get(name) for name in LINKS if element.get(name)]
     return links[0][1:] if links and links[0].startswith("#") else None
 

@@ -18,12 +18,12 @@ def preceding(offsets):
 
 
 def corner_cells(offsets):
-    """Return the cell of each corner."""
+    """Return the number of the cell of each corner, (corners,)."""
     return np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
 
 
 def cross(a, b):
-    """Return the z component of the cross product of plane vectors."""
+    """Return the z component a_x b_y - a_y b_x of plane vectors (..., 2)."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
@@ -42,7 +42,7 @@ def areas(points, nodes, offsets):
 
 
 def centroids(points, nodes, offsets):
-    """Return the centroids (n_cells, 2)."""
+    """Return the centroids (n_cells, 2) of polygons with straight sides."""
     start, here, there = _fan(points, nodes, offsets)
     twice = cross(here, there)
     moment = np.add.reduceat((here + there) * twice[:, None], offsets[:-1])
@@ -113,7 +113,7 @@ def turns(points, nodes, offsets):
 
 
 def ring_turns(ring):
-    """Return the exterior angles of one closed polygon (n, 2)."""
+    """Return the exterior angles, rad, at the corners of one closed polygon (n, 2)."""
     return turns(ring, np.arange(len(ring)), np.array([0, len(ring)]))
 
 

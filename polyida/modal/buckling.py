@@ -73,13 +73,13 @@ class Buckling:
     __repr__ = brief
 
     def title(self, number: int) -> str:
-        """Return "mode 1: factor 2.47"."""
+        """Return the title of a mode, such as "mode 1: factor 2.47"."""
         number = index("buckling.title", "number", number, len(self.factors), "modes")
         limit = ", a limit point: see pi.equilibrium_path" if self.along[number] > ALONG else ""
         return f"mode {number + 1}: factor {self.factors[number]:.5g}{limit}"
 
     def summary(self) -> str:
-        """Return a line for each factor."""
+        """Return a text with a line for each factor."""
         head = f"{len(self.factors)} buckling factors of {type(self.model).__name__} about t = {self.state.t:.6g} s"
         return "\n".join([head] + [self.title(k) for k in range(len(self.factors))])
 
@@ -117,18 +117,18 @@ class Growing:
     pushed: tuple
 
     def at(self, factor):
-        """The Loading at a factor."""
+        """The Loading of the model at a load factor."""
         model, t = self.start.model, self.start.t
         for number, value in self.pushed:
             model = model.pushed(t, number, factor * value)
         return replace(self.start, model=model, base=self.start.base + factor * self.start.slope)
 
     def equations(self, q, lam, factor):
-        """r and phi, (n + m,)."""
+        """Residual of the equilibrium and phi, (n + m,), at q and lam and a load factor."""
         return np.concatenate(self.at(factor).residuals(q, lam, 0.0))
 
     def matrices(self, q, lam, factor):
-        """K and B."""
+        """(K, B): tangent stiffness and phi_q at q and lam and a load factor."""
         loading = self.at(factor)
         return loading.stiffness(q, lam), loading.model.phi_q(loading.t, q)
 
@@ -260,7 +260,7 @@ def _branches(model, growing, about, q, lam, count):
     scale = system.size
 
     def operator(y):
-        """-A^-1 A' y of y = (x, mu / scale)."""
+        """Product -A^-1 A' y for y = (x, mu / scale), whose eigenvalues are the inverse factors."""
         x, mu = y[:n], scale * y[n:]
         solved = system.solve(change_K @ x + change_B.T @ mu, change_B @ x)
         return np.concatenate([solved[0], solved[1] / scale])
@@ -302,7 +302,7 @@ def _factors(values, response, count):
 
 
 def _along(K, shapes, dq):
-    """(count,) cosine, in energy, between each shape and the response dq."""
+    """Cosines (count,), in the scalar product of K, between each shape and the response dq to the load."""
     energies = np.sqrt(np.abs(np.einsum("kn,kn->k", shapes @ K, shapes)) * abs(dq @ (K @ dq)))
     return np.minimum(np.abs(shapes @ (K @ dq)) / np.where(energies > 0.0, energies, 1.0), 1.0)
 

@@ -60,12 +60,12 @@ class LinearSystem:
 
     @property
     def n(self):
-        """Coordinates."""
+        """Number of the coordinates of the system."""
         return self.M.shape[0]
 
     @property
     def freedoms(self):
-        """Independent ones, n - m."""
+        """Number of independent coordinates, n - m."""
         return self.n - self.B.shape[0]
 
     @cached_property
@@ -80,7 +80,7 @@ class LinearSystem:
         return LinearSystem(self.model, self.state, *[None if part is None else part[at] for part in parts[:3]], parts[3])
 
     def whole(self, X):
-        """Columns X of `places` as columns of all coordinates."""
+        """Columns X (places, k) as columns (n, k) of all coordinates, zero for integrals of first-order states."""
         result = np.zeros((self.model.n, X.shape[1]), X.dtype)
         result[self.places] = X
         return result
@@ -143,6 +143,7 @@ class LinearSystem:
 
     @cached_property
     def _apart(self):
+        """Largest asymmetry |K - K^T| of a symmetric K, its round-off; 0 if K is not symmetric."""
         return float(abs(self.K - self.K.T).max()) if self.conservative else 0.0
 
 
@@ -266,10 +267,12 @@ def _with_states(system, count):
 
 
 def _large(system, count):
+    """True if the matrices are sparse and few of the modes are asked for, so that Lanczos' or Arnoldi's method is used."""
     return hasattr(system.K, "tocsc") and 4 * count < system.freedoms
 
 
 def _dense(system, count):
+    """The `count` slowest undamped shapes, (n, count), by the dense eigenvalue problem on the constraints."""
     T = system.basis
     K = T.T @ (system.K @ T)
     return T @ eigh((K + K.T) / 2, subset_by_index=(0, count - 1))[1]

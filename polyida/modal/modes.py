@@ -111,6 +111,7 @@ class Modes:
         return "\n".join(lines)
 
     def _share(self, masses):
+        """Text of the shares of modal masses (2,), kg, in the whole mass: along x and along y, in per cent."""
         return ", {:.1%} along x, {:.1%} along y".format(*masses / self.mass)
 
     @named_keywords
@@ -228,7 +229,7 @@ def modes(model: Model | Steady, state: State | None = None, count: int = 6, dam
 
 
 def _turning(found, state, count, damped):
-    """The Modes of a Steady rotation."""
+    """The Modes of bodies about a Steady rotation, in the turning frame."""
     if state is not None or damped is not False:
         raise InputError("modes: a steady rotation has a state of its own and no damping; leave state and damped out")
     roots, X = modes_of(found, whole("modes", "count", count))

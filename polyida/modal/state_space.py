@@ -70,7 +70,7 @@ class Coordinates:
         return tuple(real + 1j * imaginary for real, imaginary in zip(*parts))
 
     def reduced(self, a):
-        """y'' of columns a (n, k)."""
+        """Accelerations `y'' = T^T M a` in the basis T, (d, k), of columns a (n, k)."""
         return self.T.T @ (self.system.M @ a)
 
 
@@ -138,7 +138,7 @@ def outputs_of(part, model, state, outputs):
 
 
 def labels_of(outputs):
-    """Labels of all components."""
+    """Labels of all components of a list of Outputs, a tuple of str."""
     return tuple(label for output in outputs for label in output.labels)
 
 
@@ -169,6 +169,7 @@ def _place(model, state, what, kind, label):
     far = 1e3 * (model.extent or 1e-3)  # places of a scene are linear in q: far steps have the least round-off
 
     def change(moved, mu):
+        """Change (2, k) of the place, velocity or acceleration for changes `moved` of q, v and a; mu has no effect."""
         X = moved[MOTION[kind]]
         return _slope(lambda s: model.position(what, state.q + s * X.T).T, X, far)
 
@@ -181,9 +182,11 @@ def _reaction(part, model, state, name, label):
         raise InputError(f"{part}: no joint is called {name!r}; known: {', '.join(map(repr, model.joints)) or 'none'}")
 
     def reactions(q, lam):
+        """The joint's reaction, (components, k), for rows of q (k, n) and of lam (k, m)."""
         return reaction_of(model, name, np.full(len(q), state.t), q, lam).T
 
     def change(moved, mu):
+        """Change (components, k) of the reaction for changes `moved[0]` of q and mu of lam."""
         return _slope(lambda s: reactions(state.q + s * moved[0].T, state.lam + s * mu.T), moved[0], model.extent or 1.0)
 
     count = len(reactions(state.q[None], state.lam[None]))
@@ -363,7 +366,7 @@ class FrequencyResponse:
 
     @property
     def amplitude(self) -> NDArray:
-        """|y / u|, (k, outputs)."""
+        """Amplitudes of the outputs over that of the input, |y / u|, (k, outputs)."""
         return np.abs(self.values)
 
     @property
@@ -428,7 +431,7 @@ def frequency_response(
 
 
 def _look(outputs, solve, omega):
-    """The outputs at one frequency, (outputs,)."""
+    """Complex amplitudes of the outputs at the angular frequency omega, (outputs,); inf at an undamped resonance."""
     try:
         x, mu = (column[:, None] for column in solve(omega))
     except (SingularSystem, np.linalg.LinAlgError):
@@ -437,13 +440,14 @@ def _look(outputs, solve, omega):
 
 
 def _modal(system, pushed, modes):
-    """x = T y + G, y from the equations that T sees; mu from the accelerations."""
+    """Function omega -> (x, mu) of the harmonic response with x = T y + G in the span of modes T; mu follows from the accelerations."""
     of = Coordinates("frequency_response", system, [pushed], modes)
     T, G = of.T, of.G[:, 0]
     C = 0.0 * system.M if system.C is None else system.C
     K_y, C_y = T.T @ (system.K @ T), T.T @ (C @ T)
 
     def solve(omega):
+        """(x (n,), mu (m,)), complex amplitudes of q and lam at the angular frequency omega, rad/s."""
         matrix = K_y + 1j * omega * C_y - omega**2 * np.eye(len(K_y))
         x = G + T @ np.linalg.solve(matrix, T.T @ (pushed.force - system.K @ G - 1j * omega * (C @ G)))
         return x, of.accelerations(x, 1j * omega * x, pushed.force, -(omega**2) * pushed.row)[1]

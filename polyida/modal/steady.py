@@ -185,7 +185,7 @@ def steady(model: Model, spin: float, about: ArrayLike = (0.0, 0.0)) -> Steady:
 
 
 def _turn(n):
-    """J (n, n), sparse: a right angle of each pair of coordinates."""
+    """Sparse matrix J (n, n) that rotates each pair of coordinates (x, y) by +90 degrees."""
     from scipy.sparse import eye_array
 
     return on_pairs(1j * eye_array(n // 2))
@@ -199,7 +199,7 @@ def _places(model, q, centre):
 
 
 def _equilibrium(model, spin, centre, q, lam):
-    """q and lam at a speed, by Newton's method from others."""
+    """(q, lam) of the steady rotation at a speed `spin`, rad/s, by Newton's method from a first guess."""
     still, mass = np.zeros(model.n), model.mass(q)
     for _ in range(ITERATIONS):
         B = model.phi_q(0.0, q)

@@ -75,6 +75,7 @@ ABOUT = {
 
 
 def __dir__():
+    """Return the public names of the package, `__all__`, for `dir()`."""
     return __all__
 
 
@@ -110,7 +111,7 @@ class Problem:
     __repr__ = brief
 
     def errors(self, **values: ArrayLike) -> dict[str, float]:
-        """Compare values with the reference.
+        """Compare values at the end of a run with those of the reference.
 
         Parameters
         ----------
@@ -164,7 +165,7 @@ def names() -> tuple[str, ...]:
 
 
 def get(name: str, **options: object) -> Problem:
-    """The problem of a name.
+    """Make the problem of a name; options are arguments of its function.
 
     Parameters
     ----------

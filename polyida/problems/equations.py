@@ -26,35 +26,45 @@ class Pendulum(Model):
     weight, length, gravity = 1.0, 1.0, 9.81
 
     def mass(self, q):
+        """Mass matrix, (2, 2), kg, constant."""
         return self.weight * np.eye(2)
 
     def force(self, t, q, v):
+        """Vector g of `M a + g + phi_q^T lam = 0`, (2,), N: the weight with the opposite sign."""
         return np.array([0.0, self.weight * self.gravity])
 
     def phi(self, t, q):
+        """Constraint `(|q|^2 - L^2) / (2 L)`, (1,), m."""
         return np.array([(q @ q - self.length**2) / (2 * self.length)])
 
     def phi_q(self, t, q):
+        """Jacobian of phi, `q^T / L`, (1, 2)."""
         return q[None] / self.length
 
     def force_q(self, t, q, v):
+        """Derivative of g in q, (2, 2), which is zero."""
         return np.zeros((2, 2))
 
     def reaction_q(self, t, q, lam):
+        """Derivative of phi_q^T lam in q, `lam / L` times the identity, (2, 2), N/m."""
         return lam[0] / self.length * np.eye(2)
 
     def phi_bias(self, t, q, v):
+        """Part of phi'' that does not depend on accelerations, `|v|^2 / L`, (1,), m/s^2."""
         return np.array([v @ v / self.length])
 
     def residual_p(self, name, t, q, v, a, lam):
+        """Derivative of the residual `M a + g + phi_q^T lam` in the parameter of that name, (2,)."""
         up = np.array([0.0, 1.0])
         slopes = {"weight": a + self.gravity * up, "length": -lam[0] / self.length**2 * q, "gravity": self.weight * up}
         return slopes[name]
 
     def phi_p(self, name, t, q):
+        """Derivative of phi in the parameter of that name, (1,)."""
         return np.array([-(q @ q + self.length**2) / (2 * self.length**2) if name == "length" else 0.0])
 
     def potential(self, q):
+        """Potential energy of the weight, J, zero at y = 0."""
         return self.weight * self.gravity * q[1]
 
 
@@ -110,31 +120,39 @@ class CarAxis(Model):
     weight, radius = MASS, RADIUS
 
     def mass(self, q):
+        """Mass matrix, (4, 4), kg, constant."""
         return self.weight * np.eye(4)
 
     def force(self, t, q, v):
+        """Vector g of `M a + g + phi_q^T lam = 0`, (4,): springs and weight with the opposite sign."""
         wheel = road(t, self.radius)[0]
         return np.concatenate((_spring(q[:2])[0], _spring(q[2:] - wheel)[0])) + self.weight * np.array([0.0, 1.0, 0.0, 1.0])
 
     def phi(self, t, q):
+        """The two constraints: (xl xb + yl yb, |left - right|^2 - L^2), (2,), m^2."""
         apart = q[:2] - q[2:]
         return np.array([q[:2] @ road(t, self.radius)[0], apart @ apart - L**2])
 
     def phi_q(self, t, q):
+        """Jacobian of phi in q, (2, 4), m."""
         return np.vstack((np.append(road(t, self.radius)[0], np.zeros(2)), 2 * PAIR @ q))
 
     def force_q(self, t, q, v):
+        """Derivative of g in q, (4, 4): the stiffness of both springs."""
         result = np.zeros((4, 4))
         result[:2, :2], result[2:, 2:] = _spring(q[:2])[1], _spring(q[2:] - road(t, self.radius)[0])[1]
         return result
 
     def reaction_q(self, t, q, lam):
+        """Derivative of phi_q^T lam in q, (4, 4), constant but for lam[1]."""
         return 2 * lam[1] * PAIR
 
     def phi_t(self, t, q):
+        """Derivative of phi in t at constant q, (2,), m^2/s."""
         return np.array([q[:2] @ road(t, self.radius)[1], 0.0])
 
     def phi_bias(self, t, q, v):
+        """Part of phi'' that does not depend on accelerations, (2,), m^2/s^2."""
         _, velocity, acceleration = road(t, self.radius)
         return np.array([2 * v[:2] @ velocity + q[:2] @ acceleration, 2 * v @ PAIR @ v])
 

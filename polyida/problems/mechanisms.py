@@ -139,6 +139,7 @@ def four_bar(level="full", modes=5, cells=70, seed=1, material=SOFT):
     crank_length, coupler_length, rocker_length, frame = FOUR_BAR
 
     def link(name, length, share, origin, angle):
+        """Add one link of the four-bar to the scene: a plate of that length, m, at an origin, m, and angle, rad; share: of all cells."""
         mesh = polygonize(Link(length, 0.03, 0.006), cells=round(share * cells), seed=seed)
         return scene.add(body(Plate(mesh, material, THICKNESS, origin=origin, angle=angle, name=name)))
 
@@ -248,6 +249,7 @@ def peaucellier(level="full", modes=5, cells=40, seed=1, material=SOFT):
     meshes = {length: polygonize(Link(length, 0.05, 0.012), cells=count, seed=seed) for length, count in counts.items()}
 
     def link(name, length, start, end):
+        """Add one link of the inversor to the scene: a plate of that length, m, from start to end, complex numbers, m."""
         plate = Plate(meshes[length], material, THICKNESS, origin=(start.real, start.imag), angle=np.angle(end - start), name=name)
         return scene.add(body(plate))
 

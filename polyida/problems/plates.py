@@ -179,7 +179,7 @@ APART = {"q": 5e5, "v": 4e6, "lam": 5e7}  # times 1 / E: from rigid plates to fl
 
 
 def accelerations(a1, a2, w1, w2):
-    """(a1'', a2'') of the two rigid plates, rad/s2."""
+    """Angular accelerations (a1'', a2''), rad/s^2, of the two rigid plates at angles a1, a2 and rates w1, w2."""
     m, M, L, H = PLATE_MASS, TIP_MASS, LENGTH, HEIGHT
     coupling, apart = (m / 2 + M) * L * L, a1 - a2
     matrix = np.array(

@@ -22,7 +22,7 @@ class Curves(NamedTuple):
     sides: np.ndarray
 
     def places(self, positions):
-        """Positions (nodes, 2) and behind them those of the points."""
+        """Positions (nodes, 2), m, followed by those of points within curved sides."""
         if not len(self.sides):
             return positions
         return np.concatenate([positions, np.einsum("k,pkd->pd", QUARTER, positions[self.sides])])
@@ -32,12 +32,12 @@ class Curves(NamedTuple):
         return np.split(self.places(positions)[self.nodes], self.offsets[1:-1]) if len(self.nodes) else []
 
     def outlines(self, positions):
-        """Boundary edges as segments (edges, 2, 2)."""
+        """Boundary edges as segments (edges, 2, 2), m, at these positions of the nodes."""
         return self.places(positions)[self.edges]
 
 
 def curves_of_mesh(mesh):
-    """The Curves of a mesh."""
+    """The Curves of all cells of a mesh, which draw their edges."""
     return curves_of([(mesh, 0)], mesh.nodes.astype(int), mesh.offsets.astype(int))
 
 

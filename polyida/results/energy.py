@@ -30,7 +30,7 @@ SAME = 1e-12  # of the times' size: a kink that is nearer to a frame is at it
 
 
 def works(motions, settled):
-    """{name: work since the first frame, (frames,), J} over consecutive Motions. settled: as of Energy."""
+    """{name: work since the first frame, (frames,), J} over consecutive Motions. settled: function that puts a state on its drives."""
     each_one, ends = [_works_of(motion, settled) for motion in motions], np.cumsum([0, *(len(motion.t) for motion in motions)])
     gained = {name: np.zeros(ends[-1]) for one in each_one for name in one}
     for one, first, end in zip(each_one, ends, ends[1:]):
@@ -77,10 +77,12 @@ class _Powers:
     """A model's powers as an array, in the order of their names at a motion's first frame."""
 
     def __init__(self, motion):
+        """Take the model of a motion, and the names of its powers at the first frame."""
         self.model = motion.model
         self.names = list(self.model.powers(float(motion.t[0]), *(np.asarray(x[0], float) for x in (motion.q, motion.v, motion.lam))))
 
     def __call__(self, t, q, v, lam):
+        """Powers, (names,), W, at a state; 0 for a name that has none there."""
         powers = self.model.powers(t, q, v, lam)
         return np.array([powers.get(name, 0.0) for name in self.names])
 
@@ -116,6 +118,7 @@ class _Interval:
     """
 
     def __init__(self, model, powers, settled, t, h, ends, multipliers):
+        """Take the model, functions for powers and settled states, start t and length h, s, and the values at both ends."""
         self.model, self.powers, self.settled = model, powers, settled
         self.t, self.h = t, h
         self.ends, self.multipliers = ends, multipliers
@@ -125,6 +128,7 @@ class _Interval:
         return sum(self._work(*part) for part in pairwise((0.0, *kinks, 1.0)))
 
     def _work(self, first, last):
+        """Works, J, between two shares of the interval, 0 to 1; by halves where the motion leaves its drives."""
         works, _, leaves = self._gauss(first, last)
         return self._halved(first, last, *self._gauss(first, last, gap=0.0)[:2], HALVINGS) if leaves else works
 
@@ -199,7 +203,7 @@ class Energy:
 
     @property
     def total(self) -> NDArray:
-        """kinetic + potential + strain."""
+        """Sum of kinetic, potential and strain energy, (frames,), J."""
         return self.kinetic + self.potential + self.strain
 
     @cached_property
@@ -252,6 +256,7 @@ class Energy:
 
     @property
     def _dissipating(self):
+        """Names of the parts that dissipate energy in any of the motions."""
         return {name for one in self._motions for name in one.model.dissipating}
 
     @cached_property

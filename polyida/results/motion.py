@@ -63,7 +63,7 @@ def momenta_of(motion):
 
 
 def strains(model, q):
-    """Green's strain of every element of a scene at q, (cells, 3): Exx, Eyy, 2 Exy, means over the element at rest, plate after plate."""
+    """Green's strain of every element of a scene at q, (cells, 3): Exx, Eyy, 2 Exy, means over its reference area, plate after plate."""
     u, parts = model.nodal(q), [np.zeros((0, 3))]
     for body in model.drawn:
         operator = body.operator
@@ -207,7 +207,7 @@ def xarray():
 
 
 def _of_scene(run):
-    """Places of named points, reactions, energies, drift."""
+    """{name: variable} for xarray: places of named points, reactions, energies and drift over the frames of a scene."""
     names, pushed = list(run.model.named), list(reactions(run).values())
     places = np.stack([run.position(name) for name in names], axis=1) if names else np.zeros((len(run), 0, 2))
     entries = {"position": (("t", "point", "axis"), places, {"units": "m"})}
@@ -217,7 +217,7 @@ def _of_scene(run):
 
 
 def _sensed(run):
-    """Values of sensors, over the time of every step."""
+    """{name: variable} for xarray: values of the sensors over the times of all steps."""
     if not run.sensors:
         return {}
     entries = {

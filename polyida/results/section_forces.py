@@ -114,6 +114,7 @@ def section_forces(motion, plate, at, normal, frame=None):
 
 
 def _section_forces(values):
+    """SectionForces of an array (..., 7): normal, shear, moment, point (2), direction (2)."""
     return SectionForces(values[..., 0], values[..., 1], values[..., 2], values[..., 3:5], values[..., 5:])
 
 
@@ -179,7 +180,7 @@ def _ahead(mesh, distance):
 
 
 def _part(mesh, chosen):
-    """(nodes, mesh) of the chosen cells of a mesh."""
+    """(nodes of the chosen cells; mesh of these cells, None without any); chosen: (cells,) mask."""
     corners = mesh.nodes[np.repeat(chosen, np.diff(mesh.offsets))]
     nodes, numbers = np.unique(corners, return_inverse=True)
     offsets = np.concatenate([[0], np.cumsum(np.diff(mesh.offsets)[chosen])])
@@ -187,7 +188,7 @@ def _part(mesh, chosen):
 
 
 def _body(model, plate: Any):
-    """The placed body of a full plate, given by name or itself."""
+    """The placed body of a full plate of a model; plate: its name or the Plate itself. Raises InputError."""
     known = {body.name: body for body in model.bodies}
     name = next((name for name, body in known.items() if body.plate is plate), plate)
     if isinstance(name, str) and name in known:

@@ -35,6 +35,7 @@ def accepted(integrator, model, state, t_end, counts, rows=None):
 
 
 def _one_by_one(integrator, state, t_end, model, counts):
+    """States of an integrator to t_end, checked and one at a time, in place of stretches."""
     return States(AcceptedStates(integrator, model, state, t_end, counts), counts)
 
 
@@ -49,7 +50,7 @@ class AcceptedStates:
     """
 
     def __init__(self, integrator, model, state, t_end, counts, rows=None):
-        """Start the integrator at a state; rows: see `accepted`."""
+        """Start the integrator at a state. rows: function of the FrameStore that an integrator writes its frames with, or None."""
         self.model, self.t_end = model, t_end
         self.counts = counts
         self.known = vars(counts).copy()  # the last valid counts
@@ -68,6 +69,7 @@ class AcceptedStates:
         self.states = iter(states.stretches if self.trusted and isinstance(states, States) else states)
 
     def __iter__(self):
+        """Return the iterator itself."""
         return self
 
     def __next__(self):
@@ -163,7 +165,7 @@ class AcceptedStates:
             self.stop(told, "half-turn")
 
     def stop(self, reason, status="integrator"):
-        """Raise StepFailure at the last valid state."""
+        """Raise StepFailure for a reason, with the time of the last valid state."""
         raise StepFailure(status, f"{self.name}: {reason}; the last good state is", self.before.t)
 
     def _wrong_count(self):
@@ -183,7 +185,7 @@ class AcceptedStates:
         return f"counts.{wrong} = {value!r:.80} {expected if wrong in names else 'is none of ' + ', '.join(names)}"
 
     def _floats(self, name, value, shape, t):
-        """A copy of an array as floats."""
+        """A copy of an array of a state as floats of that shape. Raises StepFailure if it is none."""
         kind = getattr(getattr(value, "dtype", None), "kind", "O")
         if kind not in "fiu" or value.shape != shape:
             shown = f"{value.shape} of {value.dtype}" if hasattr(value, "dtype") else type(value).__name__

@@ -53,7 +53,7 @@ WORDS = {CLOSED: "closes", STICKS: "sticks", SLIPS_UP: "slips", SLIPS_DOWN: "sli
 
 @dataclass(frozen=True)
 class RowEvent:
-    """The function of row number `law`, as an event."""
+    """An event that occurs where the function of row number `law` changes its sign."""
 
     law: int
     name: str
@@ -61,7 +61,7 @@ class RowEvent:
 
 
 def timed(method):
-    """A method of ContactHandler whose CPU time counts as spent on laws."""
+    """Decorator of a method of ContactHandler: its CPU time is added to the time spent on contact and friction."""
 
     @wraps(method)
     def measured(self, *arguments):
@@ -204,7 +204,7 @@ class ContactHandler(EventHandler):
         return float(self._known[1][event.law])
 
     def _quiet(self, before, stretch):
-        """True for the quiet steps of a stretch, see StepBatch.
+        """(steps,) mask of a stretch: steps in which certainly no status of a row ends.
 
         A motion's first step, those near an end of unique friction, those of rows with shared forces or held by equations, and those of runs with
         kinks and samples are looked into.
@@ -331,6 +331,7 @@ class ContactHandler(EventHandler):
             return before.t, self.dwelling
 
         def moving(t):
+            """Numbers of the watched rows that equations move at time t of the step, faster than `MOVES * still`."""
             return self.watched[np.abs(self._held_rates(between(before, after, t))[self.watched]) > MOVES * still]
 
         for begin, end in pairwise([*times[:-1], after.t]) if len(self.watched) else ():
@@ -380,6 +381,7 @@ class ContactHandler(EventHandler):
         from scipy.optimize import brentq
 
         def at(t):
+            """The measure of a unique friction force at time t, extrapolated from the state; it is positive while there is one."""
             return self._uniqueness(state, _ahead(state, t))
 
         ends = state.t + h * np.array([0.0, 1.0, 2.0, most])
@@ -414,7 +416,7 @@ class ContactHandler(EventHandler):
         return SIGNS[self.status[event.law]] * float(change)
 
     def _all_forces(self, state):
-        """lam of all rows at a state of the mode."""
+        """Multipliers lam of all rows, closed or not, at a state of the mode."""
         if self._forces[0] is not state:
             lam = self.mode.spread(state.lam, self.width)
             if len(self.shared):
@@ -565,7 +567,7 @@ class ContactHandler(EventHandler):
         self.sizes = np.abs(self.values)
 
     def _hit(self, state):
-        """True for the contacts that have closed and approach."""
+        """(contacts,) mask: contacts that have closed and whose gap decreases."""
         contacts, still, size = self.contacts, self.contacts.still(state.v), TOUCH * (self.whole.extent or 1.0)
         rates = self.whole.phi_rate(state.t, state.q, state.v)[contacts.rows]
         return contacts.contact & (contacts.gaps(state.t, state.q) <= size) & (rates < -still)

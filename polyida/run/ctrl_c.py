@@ -14,6 +14,7 @@ class Presses:
     """Handler of SIGINT for one run."""
 
     def __init__(self):
+        """Make a handler that has counted no press of Ctrl-C."""
         self.count = 0  # how often Ctrl-C was pressed
         self.heeded = False  # True if it ended the run
 

@@ -55,6 +55,7 @@ class WholeStepBatch(Stretch):
     """
 
     def __init__(self, handler, part):
+        """Take the EventHandler and the step batch of the present mode; t, q and v are its own."""
         self.handler, self.source = handler, part
         self.t, self.q, self.v = part.t, part.q, part.v
 
@@ -63,16 +64,16 @@ class WholeStepBatch(Stretch):
 
     @cached_property
     def lam(self):
-        """The multipliers of all rows, (k, width)."""
+        """The multipliers of all rows in every state, (states, width)."""
         return self.last.lam[None] if len(self) == 1 else self.handler.mode.spread(self.source.lam, self.handler.width)
 
     @cached_property
     def last(self):
-        """The last State."""
+        """The last State of the batch, with the columns of lam of all rows."""
         return self.handler.whole_state(self.source.last)
 
     def state(self, k):
-        """The State number k, counted from 0."""
+        """The State number k of the batch, counted from 0, with the columns of lam of all rows."""
         return self.last if k == len(self) - 1 else self.handler.whole_state(self.source.state(k))
 
     def part(self, first, end, every=1):
@@ -131,7 +132,7 @@ class EventHandler:
         return own
 
     def start(self, state):
-        """The first state of a run, with all columns."""
+        """The first State of a run with the columns of lam of all rows; its integrator starts anew."""
         memory = {name: value for name, value in state.memory.items() if name != "events"}
         return replace(self.spread(state), memory=memory, restart=True)
 
@@ -257,6 +258,7 @@ class EventHandler:
         return float(value)
 
     def _moment(self, state):
+        """The Moment of a state of the present mode, as functions of events see it."""
         return Moment(self.whole, self.spread(state), self.mode)
 
     def _first(self, before, after):
@@ -285,6 +287,7 @@ class EventHandler:
             return None, side
 
         def at(s):
+            """Value of the event's function at the share s of the step, 0 to 1, between the two states."""
             return self.value(event, between(before, after, before.t + s * (after.t - before.t)))
 
         slopes = (COEFFICIENTS @ values)[1:] * np.arange(1, len(values))
@@ -452,6 +455,7 @@ class EventHandler:
         return after, equations.spread(jump, mode.m), impulses
 
     def _name(self, part):
+        """Name of a part that is given by its name or itself."""
         return part if isinstance(part, str) else next(name for name, known in self.whole.parts.items() if known is part)
 
     def _given(self, label, value, q, v, model):
@@ -495,7 +499,7 @@ class EventHandler:
 
     @contextmanager
     def in_mode(self, mode):
-        """Evaluate functions in another mode."""
+        """Context in which functions of events are evaluated in another mode."""
         now, self.mode = self.mode, mode
         try:
             yield
@@ -503,7 +507,7 @@ class EventHandler:
             self.mode = now
 
     def _energy(self, state):
-        """Kinetic and potential energy of a state of the mode, J."""
+        """Sum of kinetic and potential energy of a state of the mode, J."""
         model, moving = self.mode, self.mode.without_states(state.v)
         potentials = model.potentials(state.q, state.v) if model.k and model.is_scene else model.potentials(state.q)
         return 0.5 * moving @ (model.mass(state.q) @ moving) + sum(potentials)

@@ -42,7 +42,7 @@ class Jumps:
             raise StepFailure(JUMP_IN_V, found, last.t, rejected=self.counts.rejected)
 
     def found(self, state):
-        """Message of a jump of the forces near a state, or empty."""
+        """A message if the forces jump with the velocity near a state; otherwise an empty text."""
         if not (self.speed and self.model.needs.velocity_forces):
             return ""
         width = NEAR * self.speed * np.random.default_rng(0).standard_normal(len(state.v))
@@ -67,6 +67,7 @@ class Jumps:
         return self._message(first) if abs(above - below) >= STAYS * first else ""
 
     def _forces(self, state, v):
+        """The force vector g, (n,), at a state with other velocities v; None if it is not finite."""
         force = np.asarray(self.model.force(state.t, state.q, v))
         return force if np.isfinite(force).all() else None
 

@@ -88,6 +88,7 @@ class Until:
     """
 
     def __init__(self, model, function, state, driven=None):
+        """Take f and store its sign at the first state. driven: the model whose driven constraints states between steps satisfy."""
         self.model, self.function, self.driven = model, function, driven
         self.sign = np.sign(self._value(state))
         self.quiet(Stretch.of(state))  # raises InputError if numba cannot compile it
@@ -108,6 +109,7 @@ class Until:
         from scipy.optimize import brentq
 
         def at(t):
+            """The state at time t between the two states, on the driven constraints."""
             return within(self.driven, before, after, t)
 
         return at(brentq(lambda t: self._value(at(t)), before.t, after.t, xtol=1e-300, rtol=4 * np.finfo(float).eps))
@@ -211,5 +213,5 @@ class Recorder:
 
     @property
     def rows(self):
-        """The recorded rows."""
+        """The rows recorded so far, (steps, 1 + numbers): the time, s, and the values of all sensors."""
         return self._rows[: self.count]

@@ -72,7 +72,7 @@ class Reset:
 
 
 def pull_of(model, at, impulse):
-    """The generalised force (n,) of an impulse on an attachment."""
+    """The generalised impulse (n,) of an impulse (2,), N s, on an attachment."""
     return model.pulled((at, "point"), np.array([complex(*impulse)]))[0]
 
 
@@ -95,5 +95,5 @@ def slope_of(model, function, t, q):
 
 @singledispatch
 def rate_of(model, function, t, q, v):
-    """The rate of a function of (t, q) along v, by differences."""
+    """Total derivative in time of a function of (t, q) with q' = v, a float, by differences."""
     return float(along(lambda s: np.array([function(t + s, q + s * v)]), reach_along(q, v))[0])

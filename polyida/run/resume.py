@@ -180,7 +180,7 @@ def _copied(stored, model, integrator, plan, machine, recorder, past, memory_lim
 
 
 def _plan(stored, t_end, until):
-    """The plan of the run with the new end."""
+    """The stored plan of a run with a new end. Raises InputError if the run cannot be continued."""
     plan, restart = stored.about["plan"], stored.restart
     if restart is None or not plan:
         raise InputError("it holds no state to go on from")

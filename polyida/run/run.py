@@ -163,6 +163,7 @@ class Run:
             quiet = min(quiet, until.quiet(batch)) if until and quiet else quiet
 
         def size():
+            """Number of states of the next part: to the next flush or to the end of the quiet ones, at least 1."""
             before_flush = self.plan["flush_every"] - (self.counts.steps - self.flushed_steps) if self.store.file else MANY
             return max(1, min(before_flush, quiet - done))
 
@@ -255,7 +256,7 @@ class Run:
             past.append(replace(base, t=state.t, name=name, impulse=impulse, energy_lost=lost, frame=self.store.count - 1, impulses={}))
 
     def _seconds(self):
-        """(CPU, wall, compiling) seconds since the start, see `clock`."""
+        """(CPU, wall, compiling) seconds since the start of the run; the first two are without compiling."""
         return tuple(now - begun for now, begun in zip(clock(), self.begun))
 
     def _settings_used(self):
@@ -263,13 +264,13 @@ class Run:
         return self.method.settings_used(self.memory or (self.restart.state.memory if self.restart else {}))
 
     def _attach(self, error, run):
-        """Give the Trajectory to an exception that is raised to the caller."""
+        """Store the Trajectory so far as attribute `trajectory` of an exception, and say so in a note."""
         error.trajectory = run
         where = f" and in {self.store.file.shown}" if self.streams else ""
         error.add_note(f"The run so far, {len(run)} frame{'s' * (len(run) != 1)}, is in this exception's attribute `trajectory`{where}.")
 
     def _end(self, status, message):
-        """The Trajectory, and the file closed."""
+        """Make the Trajectory of the run with its status and message, and close the file."""
         try:
             if status != "stopped" and not self.handler:
                 self._settle()

@@ -127,6 +127,7 @@ class Animation:
         self.seconds = None if seconds is None else positive("animate", "seconds", seconds, "seconds")
 
     def __repr__(self):
+        """One line: the run, and how the animation is shown."""
         return f"<Animation of {self.run!r}: it is shown in a notebook, and written by save('motion.gif')>"
 
     def _repr_html_(self):
@@ -145,7 +146,7 @@ def _page(run, seconds, frames=html.MAX_FRAMES):
 
 
 def _write_gif(path, sample, images, duration):
-    """sample: the image whose colours all frames share; duration: of a frame, s."""
+    """Write images as a GIF. sample: the image whose colours all frames share; duration: of a frame, s."""
     palette = sample.quantize(128)
     first, *others = [image.quantize(palette=palette, dither=0) for image in images]
     first.save(path, save_all=True, append_images=others, loop=0, optimize=False, duration=max(20, round(1000 * duration)))
@@ -165,6 +166,7 @@ def _write_mp4(path, sample, images, duration):
 
 
 def _ffmpeg():
+    """The module imageio_ffmpeg. Raises an error that says how to install it if it is missing."""
     return library("imageio_ffmpeg", "animation: MP4 needs imageio-ffmpeg: pip install 'polyida[movie]'")
 
 
@@ -207,7 +209,7 @@ class FramePicture:
             self.background = self.canvas.copy_from_bbox(new.bbox)
 
     def image(self, k):
-        """Frame k as an RGB image."""
+        """Draw frame k and return it as an RGB image, (height, width, 3)."""
         from PIL import Image
 
         positions = self.lines.places(self.run.node_positions(k))

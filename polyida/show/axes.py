@@ -174,5 +174,6 @@ def _inside(box, points):
 
 
 def _is_free(box, taken, points, page):
+    """True if a box is within the page, overlaps none of the taken boxes and contains none of the points; all in pixels."""
     inside = box.x0 >= page.x0 and box.x1 <= page.x1 and box.y0 >= page.y0 and box.y1 <= page.y1
     return inside and not any(box.overlaps(other) for other in taken) and not any(box.contains(*point) for point in points)

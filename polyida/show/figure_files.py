@@ -28,6 +28,7 @@ class FigureWriter:
     """
 
     def __init__(self):
+        """Make a writer without figures; the second process starts in `__enter__`."""
         self.figures = {}  # by their names
         self.futures = {}  # {name: Future of its files} of figures that the second process renders
         self.pool = None  # of the second process, None without one
@@ -40,6 +41,7 @@ class FigureWriter:
         return self
 
     def __exit__(self, *exception):
+        """Stop the second process and drop the figures that it has not begun."""
         if self.pool:
             self.pool.shutdown(cancel_futures=True)
 
@@ -49,7 +51,7 @@ class FigureWriter:
             self.started.exception()
 
     def add(self, name, figure):
-        """Render a figure in the second process."""
+        """Render a figure in the second process under a name; without that process, store it for `files`."""
         self.figures[name] = figure
         if self.pool:
             with suppress(Exception):  # a figure that cannot be pickled is rendered here
@@ -74,6 +76,7 @@ def figure_files(figure):
 
 
 def _render_pickled(pickled):
+    """Return the files {kind: bytes} of a pickled figure; runs in the second process."""
     files = figure_files(pickle.loads(pickled))
     gc.freeze()  # the loaded modules are never garbage
     return files
@@ -129,6 +132,7 @@ def _series(axes):
 
 
 def _floats(values):
+    """Values as an array of floats, NaN in place of masked ones."""
     return np.asarray(np.ma.filled(np.ma.asarray(values, float), np.nan))
 
 

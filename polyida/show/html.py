@@ -130,7 +130,7 @@ class Picture:
         return Markup(f'<svg {box} role="img" aria-label="{label}" style="--width: {width}pt">{svg[svg.index(">") + 1 :]}')
 
     def csv_link(self, files):
-        """(text, address) of the link to the numbers."""
+        """(text, address) of the link to the numbers of the picture as CSV."""
         csv = files["csv"]
         size = f"{len(csv) / 1e6:.1f} MB" if len(csv) > 1e5 else f"{max(1, round(len(csv) / 1e3))} kB"
         if len(csv) > MAX_EMBEDDED_CSV:
@@ -138,7 +138,7 @@ class Picture:
         return f"numbers (CSV, {size})", f"data:text/csv;charset=utf-8,{quote(csv, safe=',.;:+-_()/ ').replace(' ', '%20')}"
 
     def numbers(self, files):
-        """The numbers as a Table, None if they are too many."""
+        """The numbers of the picture as a Table, or None if they are too many."""
         head, *rows = reader(files["csv"].decode().splitlines())
         if not 0 < len(rows) <= MAX_TABLE[0] or len(head) > MAX_TABLE[1]:
             return None
@@ -160,7 +160,7 @@ def _order(value):
 
 
 def format_value(value, form="{}", dash=DASH):
-    """A value as text of a table."""
+    """A value as text of a table, numbers by the format `form`; `dash` for a missing value."""
     if is_missing(value):
         return dash
     if isinstance(value, bool):
@@ -251,12 +251,12 @@ def _drawn_cells(lines):
 
 
 def _packed(values, kind):
-    """Values as whole numbers of a type of numpy, in base64."""
+    """Values, rounded to whole numbers of a numpy dtype, as a base64 text."""
     return b64encode(np.rint(values).astype(kind).tobytes()).decode()
 
 
 def _shades():
-    """The colours of stresses from zero to the largest one, as texts."""
+    """The colours of the colour scale of stresses, SHADES texts like "#440154" from zero to the largest stress."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
@@ -290,7 +290,7 @@ def json_in_html(data):
 
 @cache
 def _templates():
-    """(template of a page, Markup)."""
+    """(jinja2 template of a page, the class Markup of text that is HTML already)."""
     from jinja2 import Environment, FileSystemLoader
     from markupsafe import Markup, escape
 

@@ -59,7 +59,7 @@ class _Pen:
     """Collects the lines of parts. lines: {"joints" or "forces": [(frames, corners) complex]}; pins: [(frames,) complex]."""
 
     def __init__(self, place, size, frames):
-        """A pen without lines for symbols of one size over so many frames."""
+        """Make a pen without lines, for symbols of one size, m, over so many frames."""
         self.place = place  # function (side, "point" or "direction") -> (frames,) complex
         self.size = size  # of a symbol, m
         self.frames = frames
@@ -77,14 +77,14 @@ class _Pen:
         return Symbols(segments["joints"], segments["forces"], pairs_of(pins))
 
     def lone(self, body):
-        """Draw a body that is one point: a disc with its two diameters."""
+        """Draw a body with one named point: a disc with its two diameters."""
         points = points_of(body)
         if len(points) == 1:
             at, radius = self.place(points[0], "point"), 0.35 * self.size
             self.add("joints", self.circle(at, radius), self.line(at, -radius, radius), self.line(at, -1j * radius, 1j * radius))
 
     def on_a_point(self, part):
-        """Draw a mass or a load."""
+        """Draw a point mass as a disc, or a load on a point as an arrow."""
         at = self.place(part.at, "point")
         if isinstance(part, PointMass):
             self.add("joints", self.circle(at, 0.35 * self.size), self.line(at, -0.35 * self.size, 0.35 * self.size))
@@ -163,18 +163,20 @@ class _Pen:
                 self.add("forces", np.stack(np.broadcast_arrays(*places), axis=1))
 
     def of_side(self, side):
-        """Place of a Side of a force element."""
+        """Place of a Side of a force element, (frames,) complex, m; (1,) for a place of the ground."""
         return np.array([complex(*side.rest)]) if side.at is None else self.place(side.at, "point")
 
     def unit(self, side):
-        """Unit vector of a side's direction over frames."""
+        """Unit vector of a side's direction, (frames,) complex."""
         along = self.place(side, "direction")
         return along / np.abs(along)
 
     def add(self, kind, *lines):
+        """Add lines, (frames, corners) complex each, to those of kind "joints" or "forces"."""
         self.lines[kind] += lines
 
     def pin(self, at):
+        """Add a pin at a place, (frames,) complex, m."""
         self.pins.append(at)
 
     def line(self, at, *corners):
@@ -182,6 +184,7 @@ class _Pen:
         return np.stack([at + corner for corner in corners], axis=1)
 
     def circle(self, at, radius, begin=0.0, end=2 * np.pi):
+        """An arc about a place (frames,) from the angle begin to end, rad: (frames, CIRCLE) complex corners, m."""
         return at[:, None] + radius * np.exp(1j * np.linspace(begin, end, CIRCLE))
 
     def hatch(self, begin, end, side):
@@ -195,14 +198,14 @@ class _Pen:
             self.add("joints", np.stack([foot, foot + back + step * side], axis=1))
 
     def support(self, at):
-        """A hatched bearing below a pin."""
+        """Draw a hatched bearing below a pin at a place, (frames,) complex."""
         foot = self.size * np.array([-0.6 - 1j, 0.6 - 1j])
         self.add("joints", self.line(at, foot[0], 0, foot[1]), self.line(at, *(1.5 * foot.real + 1j * foot.imag)))
         self.hatch(at + 1.5 * foot[0].real - 1j * self.size, at + 1.5 * foot[1].real - 1j * self.size, -1j)
         self.pin(at)
 
     def fixing(self, at, held, fixed):
-        """A hatched wall behind a clamped body; a square between two bodies."""
+        """Draw a hatched wall behind a clamped body, or a square between two bodies."""
         if fixed is None:
             s = 0.4 * self.size
             self.add("joints", self.line(at, s + 1j * s, -s + 1j * s, -s - 1j * s, s - 1j * s, s + 1j * s))
@@ -214,7 +217,7 @@ class _Pen:
         self.hatch(at - half, at + half, away)
 
     def rail(self, a, along, b, hatched, block):
-        """A rail through a that reaches as far as b goes, and the slider on it."""
+        """Draw a rail through a that reaches as far as b goes, and the slider on it."""
         s = ((b - a) * along.conj()).real
         low, high = s.min() - 2.5 * self.size, s.max() + 2.5 * self.size
         under = (-0.5j * along) * self.size
@@ -241,7 +244,7 @@ class _Pen:
             self.hatch(begin, end, -1j * along * above)
 
     def spring(self, a, b, stiff, damped):
-        """A zigzag, a dashpot, or both beside each other."""
+        """Draw a zigzag for a spring, a dashpot for a damper, or both beside each other, from a to b."""
         along = b - a
         length = np.abs(along)
         unit = np.where(length > 0.0, along / np.maximum(length, 1e-300), 1.0)
@@ -263,11 +266,12 @@ class _Pen:
             self.add("forces", np.stack([a + beside, a - beside], axis=1), np.stack([b + beside, b - beside], axis=1))
 
     def spiral(self, at):
+        """Draw a torsion spring as a spiral around a place, (frames,) complex."""
         angles = np.linspace(0.0, 2 * np.pi * SPIRAL, int(SPIRAL * CIRCLE))
         self.add("forces", at[:, None] + self.size * angles / angles[-1] * np.exp(1j * angles))
 
     def turning(self, at, kind="joints"):
-        """An arrow around a place."""
+        """Draw an arc with an arrowhead around a place, (frames,) complex, for a moment or a motor."""
         radius, end = 1.1 * self.size, 1.6 * np.pi
         self.add(kind, self.circle(at, radius, 0.2 * np.pi, end))
         self.head(kind, at + radius * np.exp(1j * end), 1j * np.exp(1j * end))
@@ -279,11 +283,12 @@ class _Pen:
         self.head(kind, at, along)
 
     def head(self, kind, at, along):
+        """Draw the head of an arrow of a kind that ends at a place in the direction of the unit vector `along`, both complex."""
         back = -TIP * self.size * along
         self.add(kind, self.line(at, back * (1 + 0.6j), 0, back * (1 - 0.6j)))
 
 
 def _middle(body):
-    """The mean of a body's points as drawn, (2,)."""
+    """Mean point (2,), m, of a body in the drawing: of its nodes, or of its named points."""
     plate = body if isinstance(body, Plate) else body.plate
     return np.mean(plate.points if plate is not None else [at.point for at in points_of(body)], axis=0)

@@ -35,6 +35,7 @@ def moving_svg(run, frames, seconds):
     }
 
     def rounded(points):
+        """Points (..., 2), m, as whole numbers of SVG units: scaled to the page, y downwards, with the margin added."""
         x, y = (points[..., 0] - low[0]) / size * UNITS, (high[1] - points[..., 1]) / size * UNITS
         return np.rint(np.stack([x, y], axis=-1)).astype(int) + MARGIN
 

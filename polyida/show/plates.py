@@ -66,7 +66,7 @@ def sticks(run, k):
 
 
 def places(run, k):
-    """All points that are drawn in frame k, (points, 2)."""
+    """All points that are drawn in frame k of a run, (points, 2), m."""
     return np.concatenate([run.node_positions(k), sticks(run, k).reshape(-1, 2)])
 
 
@@ -81,7 +81,7 @@ def connectivity(model):
 
 
 def curves(model):
-    """The Curves of all plates."""
+    """The Curves of all plates of a model, which draw their edges."""
     return curves_of([(body.mesh, body.nodes.start) for body in bodies(model)], *connectivity(model))
 
 
@@ -208,7 +208,7 @@ def draw_symbols(axes, drawn, k, **options):
 
 
 def reach(low, high, drawn):
-    """The corners of a box that holds another one, and all symbols."""
+    """The corners (2, 2) of the smallest box that holds the box low, high and all symbols."""
     points = np.concatenate([np.array([low, high]), *(part.reshape(-1, 2) for part in drawn)])
     return bounds(points)
 
@@ -330,6 +330,7 @@ def _positions(model, q):
 
 
 def _points(positions):
+    """All points of `_positions`, nodes and ends of segments, as one array (points, 2), m."""
     return np.concatenate([positions[0], positions[1].reshape(-1, 2)])
 
 
@@ -343,5 +344,5 @@ def _rest_and_moved(model, q, x, scale):
 
 
 def _box(pairs):
-    """Bounds of all that is drawn in (rest, moved) pairs."""
+    """Corners of the smallest box around all that is drawn in pairs of positions (rest, moved)."""
     return bounds(np.concatenate([_points(positions) for pair in pairs for positions in pair]))

@@ -237,7 +237,7 @@ def energy(runs):
 
 
 def _energies(run):
-    """{name: (frames,) J} without the energies that are zero or unknown."""
+    """{name: (frames,), J} of a run's energies, without those that are zero or unknown."""
     energies = {part: getattr(run.energy, part) for part in ENERGY_MARKERS}
     return {part: values for part, values in energies.items() if part == "kinetic" or np.nan_to_num(values).any()}
 
@@ -270,6 +270,7 @@ def drift(runs):
 
 
 def _drift_label(run, name):
+    """Label of the axis of a drift, such as |phi|, of a run; with the unit only if the run is of a scene."""
     _, label, unit = DRIFTS[name]
     return f"{label}, {unit}" if run.model.is_scene else label
 
@@ -318,10 +319,12 @@ def mark_events(axes, run, names=True):
 
 
 def _name(name):
+    """A name as text of a figure, cut at LONGEST_NAME, without formulas."""
     return literal(cut(str(name), LONGEST_NAME))
 
 
 def _name_of_first(label):
+    """The label of the first run as text of a figure; "the first run" if it has more than 20 characters."""
     return literal(label) if len(label) <= 20 else "the first run"
 
 
@@ -340,9 +343,11 @@ class RunPlots:
     """
 
     def __init__(self, run: Any) -> None:
+        """Take the run whose pictures are drawn."""
         self._run = run
 
     def __repr__(self):
+        """One line with the names and arguments of the pictures."""
         return "run.plot: energy(), position(name), tip(name), reactions(*names), expressions(*given), drift(), deformed(times)"
 
     def energy(self, axes: Axes | None = None) -> Axes:
@@ -519,6 +524,7 @@ def drawing(run):
     width, height = np.maximum((high - low) / size, 1e-3) * UNITS
 
     def path(segments):
+        """The path data of an SVG for segments (k, 2, 2), m: y downwards, in whole units."""
         points = np.stack([segments[..., 0] - low[0], high[1] - segments[..., 1]], axis=-1) / size * UNITS
         return "".join(f"M{a:.0f} {b:.0f}L{c:.0f} {d:.0f}" for (a, b), (c, d) in points)
 

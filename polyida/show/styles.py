@@ -133,7 +133,7 @@ def on_axes(axes: Axes | None = None) -> Iterator[Axes]:
 
 
 def require_axes(axes: Any) -> Axes:
-    """The axes. Raises InputError for anything else."""
+    """Return matplotlib axes unchanged. Raises InputError for anything else."""
     from matplotlib.axes import Axes
 
     return instance("plot", "axes", axes, Axes)
@@ -161,7 +161,7 @@ def hollow_markers(i: int, count: int) -> dict:
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure to a file.
+    """Write a figure to a file, whose suffix selects the format.
 
     Parameters
     ----------
@@ -200,9 +200,11 @@ def finish_layout(figure):
 
     class UnicodeText:
         def __call__(self, x, pos=None):
+            """The text of the tick at x, in unicode in place of a formula."""
             return unicode_number(super().__call__(x, pos))
 
         def get_offset(self):
+            """The text of the offset or common power of ten of the axis, in unicode in place of a formula."""
             return unicode_number(super().get_offset())
 
     for axis in [axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]:

@@ -31,6 +31,7 @@ FRAME = re.compile(r"frame-[a-z]?\d+\.vtu")
 
 
 def __dir__():
+    """Return the public names of the module, `__all__`, for `dir()`."""
     return __all__
 
 
@@ -128,6 +129,7 @@ def _journal(folder):
             lock(file)
 
             def note(names):
+                """Append names of frames to the journal and write them to the disk's cache at once."""
                 file.write("".join(f"{name}\n" for name in names))
                 file.flush()
 

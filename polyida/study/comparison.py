@@ -235,7 +235,7 @@ def compare(ivp, rtol=None, progress=lambda label, fraction: None, integrators=N
 
 
 def prepare(ivp, integrators, progress=lambda label, fraction: None):
-    """Check {label: integrator} and load the kernels."""
+    """Check {label: integrator} for a problem and load the kernels that their runs need. Raises InputError."""
     if not isinstance(integrators, dict) or not integrators:
         raise InputError(f"compare: integrators = {integrators!r} must be a dictionary {{label: integrator}}")
     for label in integrators:
@@ -260,7 +260,7 @@ def run_timed(ivp, integrators, progress=lambda label, fraction: None):
 
 
 def measure(ivp, runs, progress=lambda label, fraction: None, errors=False):
-    """The Comparison of {label: Trajectory} with the reference run, which is computed here; errors: as of `compare`."""
+    """The Comparison of {label: Trajectory} with the reference run, computed here. errors: True estimates those of generalized-alpha."""
     rtol = min(filter(is_number, (declared(run.integrator).relative_tolerance() for run in runs.values())), default=None)
     reference = reference_run(ivp, rtol, np.unique(np.concatenate([run.t for run in runs.values()])), progress)
     distances = {label: (run.t, reference.distance(run)) for label, run in runs.items()}
@@ -327,9 +327,10 @@ def estimated_error(ivp, run, last):
 
 
 def _at_end(weights):
-    """The objective `weights . q` at the end of a run."""
+    """The objective `weights . q` at the end of a run, as a UserObjective with its derivative."""
 
     def slopes(run):
+        """Derivatives of the objective at the frames of a run: {"q": (frames, n)}, zero but for `weights` in the last frame."""
         result = np.zeros(run.q.shape)
         result[-1] = weights
         return {"q": result}
@@ -376,7 +377,7 @@ class ReferenceRun:
         return self._compared(run, lambda known: np.array([self.function(q) for q in run.q[known]]), self.watched, _size)
 
     def distance_of_states(self, run):
-        """Largest distance of the states x in the same way."""
+        """Largest distance of the states x of a run from those of this one at its times; NaN after the end of this one."""
         return self._compared(run, lambda known: run.x[known], self.x, lambda x: np.abs(x).max(axis=-1))
 
     def row(self):
@@ -386,6 +387,10 @@ class ReferenceRun:
         return row | {"t_end": float(self.t[-1]), "cpu_s": self.cpu_seconds} | self.counts.as_dict()
 
     def _compared(self, run, values, own, size):
+        """Distances (frames,) of a run from this one by `size(difference)`, NaN after the end of this one.
+
+        values(mask): the run's values in those frames; own: the reference's at its times.
+        """
         distance, known = np.full(len(run.t), np.nan), run.t <= self.t[-1]
         distance[known] = size(values(known) - own[np.searchsorted(self.t, run.t[known])])
         return distance

@@ -217,9 +217,11 @@ class Conditioning(Result):
             return finish(axis, title, labels)
 
     def pictures(self) -> dict:
+        """Return {file name: (caption, function that draws the figure)} of the pictures for a report."""
         return {"condition": ("Condition number of the iteration matrix against the step.", self.plot)}
 
     def _states(self):
+        """The sorted values of "state" in the rows, each once."""
         return sorted({row["state"] for row in self.rows})
 
 

@@ -33,6 +33,7 @@ class Worker:
     """
 
     def __init__(self):
+        """Make a Worker without a process; the process starts with the first call."""
         self.process = self.pipe = None
 
     def start(self):
@@ -81,9 +82,11 @@ class Worker:
             self.process = self.pipe = None
 
     def __enter__(self):
+        """Return the Worker; its process starts with the first call."""
         return self
 
     def __exit__(self, *exception):
+        """Close the Worker when the `with` ends."""
         self.close()
 
 
@@ -113,7 +116,7 @@ class SerialExecutor(Executor):
     """An executor of concurrent.futures that runs each call at once in this process."""
 
     def submit(self, function: Callable, /, *arguments: Any, **named: Any) -> Future:
-        """The finished Future of `function(*arguments, **named)`."""
+        """Call `function(*arguments, **named)` at once; return a finished Future with its result or exception."""
         future: Future = Future()
         try:
             future.set_result(function(*arguments, **named))
@@ -137,12 +140,13 @@ class Isolated(SerialExecutor):
     """
 
     def __init__(self, limit: float = 600.0, fresh: bool = False) -> None:
+        """Make an executor of one process. limit: seconds that a call may take. fresh: True for a new process for each call."""
         self._worker = Worker()
         self._limit = limit
         self._fresh = fresh
 
     def submit(self, function: Callable, /, **named: Any) -> Future:  # type: ignore[override]
-        """Run `function(**named)` in the process.
+        """Run `function(**named)` in the separate process; return a finished Future.
 
         Returns
         -------
@@ -156,12 +160,12 @@ class Isolated(SerialExecutor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the process."""
+        """End the separate process; the arguments have no effect."""
         self._worker.close()
 
 
 def run_isolated(function, arguments, limit):
-    """`Worker.call` in a process of its own."""
+    """Make one `Worker.call` in a process of its own, which ends afterwards."""
     with Worker() as worker:
         return worker.call(function, arguments, limit)
 
@@ -182,7 +186,7 @@ def run_as_row(function, arguments):
 
 
 def error_text(error):
-    """An exception as the text of a row."""
+    """The text "Class: message" of an exception, for the column "error" of a row."""
     return f"{type(error).__name__}: {text_of(error)}"
 
 
@@ -200,7 +204,7 @@ def run_measured_case(function, arguments, sweep_id):
 
 
 def _checked_call(function, arguments):
-    """The result of a case as plain values under permitted names."""
+    """The result of a function of a case, a dictionary of plain values. Raises InputError for anything else and for reserved names."""
     result = function(**arguments)
     if not isinstance(result, dict):
         raise InputError(f"the function returned {short(result, 80)}; it must return a dictionary {{name: number, text or list of them}}")

@@ -32,6 +32,7 @@ class Invariants(Result):
     quantities: dict = {}
 
     def __init__(self, name, rows, notes, histories):
+        """Take rows, notes and histories; `name`, of the problem, is added to the title."""
         super().__init__(rows, notes, histories)
         self.title = f"{self.title}: {name}"
 
@@ -86,7 +87,7 @@ class Invariants(Result):
         }
 
     def _known(self):
-        """The quantities with a finite value in some run."""
+        """Names of the quantities that have a finite value in at least one run."""
         return [name for name in self.quantities if any(np.isfinite(history[name]).any() for history in self.histories.values())]
 
 

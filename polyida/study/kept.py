@@ -70,7 +70,7 @@ class KeptEnds:
                 self.ends.setdefault(name, end)
 
     def get(self, name):
-        """The End of a run, or None."""
+        """The kept End of a run of that name, or None."""
         return self.ends.get(name)
 
     def __setitem__(self, name, end):

@@ -45,7 +45,7 @@ def latex_heading(heading):
 
 
 def latex_text(text):
-    """Text that LaTeX shows unchanged, in one line."""
+    """A text with the special characters of LaTeX escaped, in one line."""
     return "".join(SPECIAL.get(letter, letter) for letter in " ".join(text.split()))
 
 
@@ -64,6 +64,7 @@ def latex_number(text):
 
 
 def _is_numeric(values):
+    """True if a column of values has numbers, apart from missing values, and nothing else."""
     known = [value for value in values if not is_missing(value)]
     return bool(known) and all(isinstance(value, Real) and not isinstance(value, bool) for value in known)
 

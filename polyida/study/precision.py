@@ -160,23 +160,29 @@ class Precision(Result):
         return numbers | {name: value for name, value in orders.items() if value == value}
 
     def _paper_heading(self, name, heading):
+        """Heading of the column `name` in a table for a paper: with the unit of an error, if it is known."""
         unit = self.reference.get("units", {}).get(name.removeprefix("error_"))
         return f"{heading}, {unit}" if unit else heading
 
     def _accuracy(self, part):
+        """Accuracy of the reference in a part such as "q"; 0 if it is unknown."""
         known = self.known_to[part]
         return known if known == known else 0.0
 
     def _finished(self, label):
+        """The rows of the integrator of that label whose runs reached their end or stopped as asked."""
         return [row for row in self.rows if row["integrator"] == label and row["status"] in ("done", "stopped")]
 
     def _fitted(self, label, part):
+        """The rows of an integrator with a step h whose error in a part is above FITTED times the reference's accuracy."""
         return [row for row in self._finished(label) if row["h"] is not None and row[f"error_{part}"] > FITTED * self._accuracy(part)]
 
     def _order(self, label, part):
+        """Observed order of an integrator in a part; NaN if its errors are not asymptotic."""
         return NAN if self._not_asymptotic(label, part) else self._slope(self._fitted(label, part), part)
 
     def _slope(self, rows, part):
+        """Slope of the errors in a part over the mean steps of rows, on logarithmic axes."""
         return fit_slope([self._step(row) for row in rows], [row[f"error_{part}"] for row in rows])
 
     def _not_asymptotic(self, label, part):
@@ -301,6 +307,7 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress, object
         ivp = replace(ivp, quantity=ivp.quantity.at_steps_of(runs))
 
     def smallest_errors(reference):
+        """{part: smallest error above zero of all runs relative to a reference}; 0 if no run has such an error."""
         errors = [errors_of(ivp, run, reference) for run in runs]
         return {part: min((each[part] for each in errors if each[part] > 0), default=0.0) for part in ivp.parts}
 
@@ -519,7 +526,7 @@ class StepSizes(Precision):
         return self._plot(part, axes, self._step, "mean step, s", title, labels, orders=True)
 
     def pictures(self) -> dict:
-        """The errors of all parts against the step."""
+        """Return {file name: (caption, function that draws the figure)}: the errors of all parts against the step."""
         return self._error_pictures("the step")
 
 

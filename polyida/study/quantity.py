@@ -61,7 +61,7 @@ class Quantity:
         return np.minimum(run.t[1:], self.times[-1])
 
     def size(self, difference):
-        """The norm of a difference (times, ...)."""
+        """The norm of a difference (times, ...), a float: at the end, the largest one, or the root mean square over the times."""
         flat = np.abs(np.reshape(difference, (len(difference), -1)))
         each = np.linalg.norm(flat, axis=1) if self.lengths else flat.max(axis=1, initial=0.0)
         if self.norm == "end":
@@ -112,7 +112,7 @@ def quantity_of(study, ivp, of, norm):
 
 
 def _states(run):
-    """A State for each frame of a run."""
+    """A State for each frame of a run, as a list."""
     return [State(float(t), *(np.asarray(x, float) for x in frame)) for t, *frame in zip(run.t, run.q, run.v, run.a, run.lam)]
 
 

@@ -83,6 +83,7 @@ def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None, legs=1, l
     count = WorkLimit("DOP853", "evaluations", MAX_EVALUATIONS / (n + SMALL_MODEL) if limited else np.inf, end_times[-1], t0)
 
     def rate(t, y):
+        """`(q, v)' = (v, a)`, (2n,), at y = (q, v), with a from the index-1 equations."""
         count(t)
         return np.concatenate([y[n:], consistent_acceleration(model, t, y[:n], y[n:])[0]])
 
@@ -155,7 +156,7 @@ def _consistent(run):
 
 
 def end_of(run):
-    """{part: value} at the end of a run."""
+    """{part: value} of the motion, such as q, v and lam, at the end of a run."""
     return values_of(guard(run.model), run.q[-1], run.v[-1], run.lam[-1])
 
 
@@ -218,7 +219,7 @@ class _StepForces:
         return max(float(np.abs(x).max(initial=0.0)) for x in (values, coefficients)), float(deviation.max(initial=0.0))
 
     def impulse(self):
-        """(dv (n,), mu (m,)) of the missed impulse."""
+        """(dv (n,), mu (m,)): jumps of velocities and multipliers by the impulse that the step's quadrature has missed."""
         s = np.linspace(0.0, 1.0, IMPULSE_SAMPLES + 1)
         J = self.h * (np.trapezoid(self.forces(s), s, axis=0) - WEIGHTS @ self.forces(STAGES))
         q = self.ends[1, 0]
@@ -259,15 +260,18 @@ EXTRAPOLATION_STEPS = (250, 500, 2000, 8000)  # of each level
 
 
 def _end_state(ivp, integrator, progress=None):
+    """{part: value} at the end of a run of the problem with an integrator, from its initial state."""
     return end_state(ivp.model, ivp.t_end, integrator, ivp.q0, ivp.v0, progress, ivp.quantity)
 
 
 def _by_low_order_at(ivp, level):
+    """(name of the method, {part: value} at t_end) by Radau IIA of order 3 with the tolerance of a level of refinement."""
     rtol = LOW_ORDER_RTOL[level]
     return f"Radau IIA of order 3, rtol {rtol:g}", _end_state(ivp, RadauIIA(rtol=rtol, stages=2))
 
 
 def _by_explicit_at(ivp, level):
+    """(name of the method, {part: value} at t_end) by DOP853 with the tolerance of a level of refinement."""
     rtol = EXPLICIT_RTOL[level]
     values = by_explicit(ivp.model, ivp.t_end, rtol, ivp.q0, ivp.v0, limited=True, quantity=ivp.quantity)
     return f"DOP853 on the index-1 equations, rtol {rtol:g}", values
@@ -425,7 +429,7 @@ def _remaining(ends, level):
 
 
 def _apart(ivp, one, other):
-    """{part: difference in the norm of the study}."""
+    """{part: difference of two ends in the norm of the study}."""
     return ivp.quantity.distance(one, other) if ivp.quantity else distance(one, other)
 
 
@@ -436,6 +440,7 @@ def _changing(values, remaining, smallest_errors):
 
 
 def _size(values):
+    """Largest absolute value of an array; 0 if it is empty."""
     return np.abs(values).max(initial=0.0)
 
 

@@ -57,13 +57,14 @@ class Result:
     minor_columns: tuple = ()  # that a narrow terminal leaves out first
 
     def __init__(self, rows: Iterable[dict], notes: Iterable[str] = (), histories: dict | None = None) -> None:
+        """Take the rows {column: value}, notes in words, and histories by name. Raises InputError for other types."""
         self.rows = listed("Result", "rows", rows)
         self.notes = listed("Result", "notes", notes)
         self.histories = {} if histories is None else instance("Result", "histories", histories, dict)
 
     @property
     def labels(self) -> list[str]:
-        """The labels of the integrators of the rows."""
+        """The labels of the integrators in the rows, each once."""
         return list(dict.fromkeys(row["integrator"] for row in self.rows if "integrator" in row))
 
     @property
@@ -72,7 +73,7 @@ class Result:
         return {}
 
     def to_dataframe(self) -> DataFrame:
-        """The rows as a pandas.DataFrame."""
+        """Return the rows as a pandas.DataFrame, with a column for each name."""
         from pandas import DataFrame
 
         return DataFrame(self.rows, columns=self._names() or None)
@@ -190,7 +191,7 @@ class Result:
         return data
 
     def page(self) -> list:
-        """The blocks of the report's page."""
+        """The blocks of the report's page: pictures, numbers, tables and notes."""
         pictures = self.report_pictures()
         numbers = [{"name": name, "value": value} for name, value in self.figures.items()]
         blocks: list = [html.Heading("Figures"), *pictures] if pictures else []
@@ -198,7 +199,7 @@ class Result:
         return [*blocks, html.Heading("Rows"), *self.report_tables(), html.Notes(self.notes)]
 
     def report_pictures(self) -> list:
-        """The pictures as blocks of the page."""
+        """The pictures of `pictures()` as blocks of the report's page."""
         blocks = []
         for name, (caption, draw) in self.pictures().items():
             with settings():
@@ -229,12 +230,13 @@ class Result:
         return shown or {name: (name, "{}") for name in self._names()}
 
     def text_table(self) -> tuple[list[str], list[list[str]]]:
-        """(headings, rows of text) of the table."""
+        """(headings, rows of text) of the table with the shown columns."""
         columns = self.shown_columns()
         rows = [[" ".join(html.format_value(row.get(name), form, "-").split()) for name, (_, form) in columns.items()] for row in self.rows]
         return [heading for heading, _ in columns.values()], rows
 
     def __repr__(self):
+        """One line with the class, the title and the number of rows."""
         return f"<{type(self).__name__}: {printable(self.title)}, {len(self.rows)} row{'s' * (len(self.rows) != 1)}>"
 
     def __str__(self):
@@ -248,6 +250,7 @@ class Result:
         return "\n".join([printable(self.title), *("  ".join(line).rstrip() for line in aligned), *around])
 
     def _repr_html_(self):
+        """The rows as an HTML table with the notes below it, for a notebook."""
         headings, rows = self.text_table()
         notes = "".join(f"<p>{escape(printable(note))}</p>" for note in [self.lead, *self.notes] if note)
         return table(self.title, headings, [[cut(text, MAX_CELL) for text in row] for row in rows]) + notes
@@ -314,15 +317,19 @@ class StudyResult(Result):
 
     @property
     def figures(self) -> dict[str, float]:
+        """{name: number}: what the study's functions `figures` gave."""
         return self._figures
 
     def shown_columns(self) -> dict:
+        """{name: (heading, format)} of the columns of the table."""
         return self.columns
 
     def as_dict(self) -> dict:
+        """The result as plain data, with the name of the study as "study"."""
         return super().as_dict() | {"study": self.study.name}
 
     def report_pictures(self) -> list:
+        """The pictures that the study's functions `draw` gave."""
         return self._pictures
 
     def report_tables(self) -> list:
@@ -346,6 +353,7 @@ def _quick_note(study):
     quick, full = study.tasks(True), study.tasks(False)
 
     def values(tasks, name):
+        """{value: None} of the different texts and numbers that tasks have under a name, in their order."""
         entries = [task.get(name) for task in tasks]
         return dict.fromkeys(value for value in entries if isinstance(value, (str, int, float)) and not isinstance(value, bool))
 

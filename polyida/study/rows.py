@@ -12,7 +12,7 @@ def fit_slope(x, y):
 
 
 def positive(x, y):
-    """The points whose coordinates are finite and positive."""
+    """(x, y) without the points of which a coordinate is not finite or not positive, for logarithmic axes."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
     return x[good], y[good]
@@ -30,7 +30,7 @@ def value(row, name):
 
 
 def column(rows, name):
-    """A number of each row, (rows,)."""
+    """The values of a column, (rows,) floats; NaN for what is missing."""
     return np.array([value(row, name) for row in rows], float)
 
 
@@ -40,7 +40,7 @@ def last(rows, **values):
 
 
 def number(rows, name, **values):
-    """A number of the last row with these values."""
+    """The value of a column in the last successful row with these values in other columns."""
     return value(last(rows, **values), name)
 
 

@@ -74,4 +74,5 @@ def _read(kind, text):
 
 
 def _shown(name):
+    """The name of an argument as an option on the command line shows it: with hyphens for underscores."""
     return name.replace("_", "-")

@@ -180,6 +180,7 @@ def sweep(
     with teller("sweep", progress) as report:
 
         def tell(done, total, case):
+            """Report the progress of the sweep, (done, total), and the values of the present case as a text."""
             report(done, total, ", ".join(f"{name} {value}" for name, value in case.items()))
 
         rows, ran = collect_rows(submit, cases, keys, rows_in_folder, tell)
@@ -269,4 +270,5 @@ def _row_folder(function, folder):
 
 
 def _name_of(function):
+    """Name of a function in messages; the repr of a callable without a name."""
     return getattr(function, "__name__", None) or repr(function)

@@ -65,13 +65,14 @@ class Study:
     options: dict = field(default_factory=dict)
 
     def __post_init__(self):
+        """Check the fields of the study: its name must be one that a folder can have. Raises InputError."""
         path = path_of("Study", "name", self.name)
         if not isinstance(self.name, str) or self.name != path.name or self.name == ".." or "\\" in self.name:
             raise InputError(f"Study: name = {self.name!r:.100} must be a text that can be the name of a folder")
 
 
 def task_key(study, task):
-    """File name of a task: equal for equal values."""
+    """Name of the file of a task's row: a hash of the study's name and the task's values."""
     text = json.dumps(task, sort_keys=True, default=str)
     return hashlib.sha256(f"{study.name} {text}".encode()).hexdigest()[:16]
 
@@ -128,7 +129,7 @@ def collect_rows(submit, tasks, keys, folder, progress=lambda done, total, task:
 
 
 def _finished_rows(submit, waiting):
-    """(key, row) of each task as it finishes."""
+    """Yield (key, row) of each task as soon as it is finished."""
 
     def row_of(future):
         """The row of a finished Future; an exception of the executor becomes a row with an error."""

@@ -19,6 +19,7 @@ class SceneFileError(InputError):
     """An exception of the user's code. trace: its traceback reduced to the lines of the user's file; empty for an InputError."""
 
     def __init__(self, message, trace):
+        """Take the message, and the traceback reduced to the user's file as a text."""
         super().__init__(message)
         self.trace = trace
 
@@ -201,7 +202,7 @@ def create_integrators(choices: dict[str, IntegratorChoice], problem: Any, **set
 
 
 def errors_of_all(choices: Iterable[IntegratorChoice]) -> ExitStack:
-    """`user_errors` of the files of all choices."""
+    """Context in which exceptions of the users' files of all choices become SceneFileErrors."""
     stack = ExitStack()
     for choice in choices:
         stack.enter_context(user_errors(choice.file))
@@ -215,9 +216,11 @@ def _can_be_integrator(value: object) -> bool:
 
 
 def _required_arguments(function):
+    """Names of the arguments without a default that a function takes by name."""
     kinds = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
     return [p.name for p in inspect.signature(function).parameters.values() if p.kind in kinds and p.default is p.empty]
 
 
 def _option(setting):
+    """The name of a setting as an option on the command line shows it: with hyphens for underscores."""
     return setting.replace("_", "-")

@@ -14,6 +14,7 @@ __all__ = ["equations", "lagrangian", "mechanics"]
 
 
 def __dir__():
+    """Return the public names of the package, `__all__`, for `dir()`."""
     return __all__
 
 
@@ -140,5 +141,6 @@ def mechanics(method: Any, values: Mapping | None = None, compiled: bool = True)
 
 
 def _require_sympy(function, compiled):
+    """Raise an error unless sympy can be imported, with how to install it, and unless `compiled` is a bool."""
     library("sympy", f"symbolic.{function}: it needs sympy: pip install 'polyida[symbolic]'")
     flag(f"symbolic.{function}", "compiled", compiled)

@@ -16,18 +16,22 @@ class Printer(PythonCodePrinter):
     """Prints expressions with names in place of those that have one: sums and products in the order of sympy, without its search for signs."""
 
     def __init__(self):
+        """Make a printer of Python code without names for expressions."""
         super().__init__({"order": "none", "fully_qualified_modules": True})
         self.names, self._not_supported, self._number_symbols = {}, set(), set()
 
     def _print(self, expression, **options):
+        """The name of an expression if it has one, otherwise its printed text."""
         return self.names.get(expression) or super()._print(expression, **options)
 
     def _factor(self, expression):
+        """The text of a factor of a product, in brackets unless it is a name, a symbol, a function or a whole number."""
         text = self._print(expression)
         single = expression in self.names or expression.is_Symbol or expression.is_Function and not isinstance(expression, sp.Piecewise)
         return text if single or text.isdigit() else f"({text})"
 
     def _print_Add(self, expression):
+        """The text of a sum: its summands in sympy's order, with " + " between them."""
         return " + ".join(map(self._print, expression.args))
 
     def _print_Mul(self, expression):
@@ -48,7 +52,7 @@ class Printer(PythonCodePrinter):
         return super()._print_Pow(expression, rational)
 
     def text(self, expression):
-        """The text of an expression. Raises Unprintable."""
+        """The Python text of an expression. Raises Unprintable for what Python code cannot contain."""
         try:
             return self._print(expression)
         except PrintMethodNotImplementedError as error:

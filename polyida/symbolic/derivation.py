@@ -16,7 +16,7 @@ ROWS = {"phi": ("t", "q"), "phi_t": ("t", "q"), "phi_bias": ("t", "q", "v")}
 
 
 def dot(one, other):
-    """The sum of products of two lists."""
+    """The sum of the products of two lists of expressions, entry by entry."""
     return sp.Add(*(sp.Mul(x, y) for x, y in zip(one, other)))
 
 
@@ -42,17 +42,17 @@ class Equations:
 
     @cached_property
     def lam(self):
-        """Symbols of the multipliers."""
+        """Symbols lam0, lam1, ... of the multipliers, one for each row of phi and of psi."""
         return sp.symbols(f"lam:{len(self.phi) + len(self.psi)}", real=True)
 
     @cached_property
     def rows(self):
-        """phi_q, with W below it."""
+        """Rows of the matrix of the multipliers: phi_q, with W below it, lists of expressions."""
         return [*jacobian(self.phi, self.symbols.q), *jacobian(self.psi, self.symbols.v)]
 
     @cached_property
     def needs(self):
-        """The structure of the model."""
+        """The Needs of the model: on what its functions depend."""
         s, flat = self.symbols, lambda rows: {one for row in rows for entry in row for one in entry.free_symbols}
         in_mass, in_rows = flat(self.mass), flat(self.rows)
         driven = any(entry != 0 for entry in self.functions_of_rows["phi_t"])
@@ -113,7 +113,7 @@ class Equations:
         return "\n\n".join(self.text(*one) for one in whole)
 
     def slope(self, function, name):
-        """The source text of residual_p or phi_p of one value."""
+        """The source text of the derivative residual_p or phi_p with respect to the value `name`."""
         along = Derivative({self.symbols.parameters[name][1]: sp.S.One})
         along = Derivative({self.symbols.parameters[name][1]: sp.S.One} | {one: along(meaning) for one, meaning in self.constants.items()})
         if function == "phi_p":
@@ -146,6 +146,7 @@ class Equations:
         return "a derivative of an expression"
 
     def _slopes(self, entries, symbols):
+        """The Jacobian of entries with respect to symbols as a flat list, row by row."""
         return [entry for row in jacobian(entries, symbols) for entry in row]
 
     def _require(self, rows, forbidden, name, what, words):

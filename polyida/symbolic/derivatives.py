@@ -14,6 +14,7 @@ class Derivative:
     """
 
     def __init__(self, rates, contained=None):
+        """Take the rates {symbol: its derivative along the direction}; contained: {expression: its symbols}, shared."""
         self._known = dict(rates)
         self._moving = frozenset(rates)
         self._contained = {} if contained is None else contained

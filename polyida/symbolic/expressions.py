@@ -48,7 +48,7 @@ def expression_of(part, name, value):
 
 
 def short(expression):
-    """An expression in a message."""
+    """An expression as a text for a message, shortened."""
     text = str(expression)
     return text if len(text) <= 120 else f"{text[:100]} ... ({len(text)} characters)"
 
@@ -84,6 +84,7 @@ class Symbols:
         self.used = set()
 
     def _coordinate(self, name, k, one):
+        """Return one entry of a coordinate list, `name[k]`. Raises InputError unless it is a function of time."""
         if not (isinstance(one, AppliedUndef) and len(one.args) == 1 and one.args[0].is_Symbol):
             raise InputError(f"{self.part}: {name}[{k}] = {one!r:.80} must be a function of time, as dynamicsymbols gives it")
         return one
@@ -143,7 +144,7 @@ class Symbols:
         return found
 
     def error(self, name, expression, reason):
-        """The InputError for one of the user's expressions."""
+        """Make the InputError that rejects one of the user's expressions for a reason."""
         return InputError(f"{self.part}: {name} = {short(expression)}: {reason}")
 
     def _objection(self, found, symbols, allowed):
@@ -158,6 +159,7 @@ class Symbols:
         return ""
 
     def _known(self):
+        """The set of all symbols that expressions of the model may contain: t, q, v, a, x, values and functions of time."""
         ours = {one for _, one, _ in self.parameters.values()} | {one for group in self.functions.values() for one in group}
         return {T, *self.q, *self.v, *self.a, *self.x} | ours
 
@@ -174,6 +176,7 @@ class Symbols:
         return f"{inner} is a function that is not known"
 
     def _other_assumptions(self, symbol):
+        """Advice for an unknown symbol: give a value for it, or use that of `values` with the same name and other assumptions."""
         same = any(key.name == symbol.name for key, _, _ in self.parameters.values())
         return f"; values has a symbol {symbol} with other assumptions (as positive=True)" if same else f": give values={{{symbol}: ...}}"
 

@@ -12,7 +12,7 @@ PART = "symbolic.mechanics"
 
 
 def mechanics(method, values, compiled):
-    """The model of a method; arguments as of `pi.symbolic.mechanics`."""
+    """The SymbolicModel of a LagrangesMethod or KanesMethod of sympy, with {symbol: value}; compiled: True for machine code."""
     for inner in ("eom_method", "method"):  # of a System and of a JointsMethod
         if (found := getattr(method, inner, None)) is not None and not isinstance(method, (KanesMethod, LagrangesMethod)):
             method = found

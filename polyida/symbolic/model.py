@@ -38,6 +38,7 @@ class SymbolicModel(Model):
     lam: tuple = ()
 
     def __init__(self, values, profiles):
+        """Take the values of the symbols, and the profiles of the functions of time."""
         self._set(values, profiles)
 
     def _set(self, values, profiles):
@@ -54,12 +55,15 @@ class SymbolicModel(Model):
                 setattr(self, f"f{k}_{order}", one)
 
     def __reduce__(self):
+        """Pickle the model by its equations and source text; its class is made anew when it is loaded."""
         return _made, (type(self).__name__, self.by_numba, self.equations, self.source, self.values, self.profiles)
 
     def parameter(self, name):
+        """Return the value of a symbol by its name, a float; None for an unknown name."""
         return float(self.values[self.parameters.index(name)]) if name in self.parameters else None
 
     def replaced(self, name, value):
+        """Return the model with another value of a symbol or a parameter of the base class, by its name."""
         return self.with_values({name: value}) if name in self.parameters else super().replaced(name, value)
 
     def with_values(self, values):
@@ -138,16 +142,20 @@ class SymbolicModel(Model):
         return np.array(np.broadcast_to(np.asarray(values, float), t.shape))
 
     def constraint_name(self, row):
+        """Return the name of a row of the constraints with the user's expression, "phi[0] = ..."."""
         names = [*(f"phi[{k}]" for k in range(len(self.equations.phi))), *(f"psi[{k}]" for k in range(len(self.equations.psi)))]
         return f"{names[row]} = {short(self.equations.given[names[row]])}"
 
     def _kinks(self, t0, t1):
+        """Sorted times of the kinks of all profiles between t0 and t1, s, both excluded."""
         return tuple(sorted({kink for profile in self.profiles for kink in profile.kinks if t0 < kink < t1}))
 
     def _powers(self, t, q, v, lam, *x):
+        """{"forces": power of the forces that have no potential, W} at a state."""
         return {"forces": float(self.power(t, q, v, *x))}
 
     def _slope(self, function, name, *state):
+        """Derivative of a function, "residual_p" or "phi_p", with respect to the value of that name, at a state."""
         return self._slopes_known(function, name)(self, *state)
 
     def _slopes_known(self, function, name):
@@ -159,7 +167,7 @@ class SymbolicModel(Model):
 
 
 def functions_of(source):
-    """{name: function} of source text."""
+    """{name: Python function} that the source text defines."""
     space = {"np": np, "math": math, "__name__": __name__}
     exec(compile(source, "<polyida.symbolic>", "exec"), space)
     return {name: value for name, value in space.items() if callable(value)}
@@ -198,6 +206,7 @@ def _kind(name, by_numba, equations, source):
 
 
 def _made(name, by_numba, equations, source, values, profiles):
+    """Rebuild a pickled model: find or make its class by `kind_of`, and give it values and profiles."""
     return kind_of(name, by_numba, equations, source)(values, profiles)
 
 

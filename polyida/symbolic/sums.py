@@ -34,7 +34,7 @@ def as_sum(expression, constants):
 
 
 def _terms(expression):
-    """The number of terms of the sum that an expression becomes."""
+    """The number of terms that an expression would have if it were multiplied out."""
     if expression.is_Add:
         return sum(map(_terms, expression.args))
     if expression.is_Mul:
@@ -61,7 +61,7 @@ def _without_squares(sums):
 
 
 def _size(expression):
-    """The number of different parts of an expression."""
+    """The number of different subexpressions of an expression."""
     seen, waiting = set(), [expression]
     while waiting:
         part = waiting.pop()

@@ -17,7 +17,10 @@ ITERATIONS = 50
 
 
 def lagrangian(L, q, phi, psi, forces, states, values, compiled, part="symbolic.lagrangian", also=None):
-    """The model of a Lagrangian; arguments as of `pi.symbolic.lagrangian`. also: as of Equations; if it is given, values may be unused."""
+    """The SymbolicModel of a Lagrangian L with coordinates q, constraints phi and psi, and generalised forces.
+
+    also: {the user's symbol: what it stands for}, see Equations; if it is given, values may be unused.
+    """
     s, given = _symbols(part, q, states, values), {}
     given["L"] = expression_of(part, "L", L)
     L = s.read("L", given["L"])
@@ -39,8 +42,9 @@ def lagrangian(L, q, phi, psi, forces, states, values, compiled, part="symbolic.
 
 
 def equations(M, g, q, phi, psi, states, values, potential, compiled, part="symbolic.equations", also=None):
-    """The model of a mass matrix and forces; arguments as of `pi.symbolic.equations`. also: as of `lagrangian`; with it rows of psi that
-    follow from phi are left out.
+    """The SymbolicModel of a mass matrix M, forces g and constraints phi and psi.
+
+    also: {the user's symbol: what it stands for}, see Equations; if it is given, rows of psi that follow from phi are left out.
     """
     s, given = _symbols(part, q, states, values), {}
     n = len(s.q)
@@ -96,19 +100,20 @@ def _on_rows(value, rows, count, q):
 
 
 def _apart(whole, kept, k):
-    """True if a row is no sum of those that are kept."""
+    """True if row k of `whole` is linearly independent of the rows `kept`."""
     shares = np.linalg.lstsq(whole[kept].T, whole[k])[0]
     return np.abs(whole[k] - shares @ whole[kept]).max() > DEPENDENT * max(1.0, np.abs(whole[k]).max())
 
 
 def _symbols(part, q, states, values):
+    """The Symbols of a model for the user's coordinates q, states {state: derivative} and values. Raises InputError."""
     if states is not None and not isinstance(states, Mapping):
         raise InputError(f"{part}: states = {states!r:.80} must be a dictionary {{state: its derivative}}")
     return Symbols(part, entries(part, "q", q), [*(states or ())], {} if values is None else values)
 
 
 def _moving(s):
-    """Symbols on which a potential energy does not depend."""
+    """The symbols that a potential energy must not contain: t, v, a, x and functions of time."""
     return {T, *s.v, *s.a, *s.x} | {one for ours in s.functions.values() for one in ours}
 
 

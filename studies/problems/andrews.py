@@ -23,6 +23,7 @@ from polyida.scene import Scene
 
 
 def _numbers(texts):
+    """{part: (k,) floats} of texts {part: numbers separated by blanks}."""
     return {part: np.array(text.split(), float) for part, text in texts.items()}
 
 
@@ -84,7 +85,7 @@ def _arms(q):
 
 
 def _couplings(masses):
-    """What couples beta and Theta, Phi and delta, Omega and epsilon."""
+    """Factors of the mass matrix, kg m^2, that couple beta and Theta, Phi and delta, Omega and epsilon."""
     return masses[1] * da * rr, masses[3] * zt * h, masses[5] * u * k
 
 
@@ -232,6 +233,7 @@ class Andrews(Model):
         return result
 
     def potential(self, q):
+        """Potential energy of the spring and of the constant motor torque, `k (l - l0)^2 / 2 - M beta`, J."""
         return self.stiffness / 2 * (_spring(q[GAMMA])[2] - self.rest) ** 2 - self.torque * q[BETA]
 
 
@@ -310,7 +312,7 @@ def angles(run):
 
 
 def rates(run):
-    """Their rates in every frame, (frames, 7), rad/s."""
+    """Rates of the seven angles in every frame of a run of the scene, (frames, 7), rad/s."""
     z = np.exp(1j * ANGLES) + directions(run.q[:])
     return np.linalg.solve(TURNS, (z.conj() * directions(run.v[:])).imag.T).T
 

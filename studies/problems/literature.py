@@ -98,6 +98,7 @@ def turn():
     w, rate = 2 * np.pi / DURATION, SPEED / DURATION
 
     def value(t):
+        """Angle of the hub at time t, rad."""
         return rate * (t * t / 2 + (np.cos(w * t) - 1) / w**2) if t < DURATION else SPEED * (t - DURATION / 2)
 
     return profile.from_function(

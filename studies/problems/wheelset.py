@@ -58,7 +58,7 @@ def rows(q):
 
 
 def slopes(q):
-    """The derivatives of `rows`, (6, 10)."""
+    """Jacobian of the constraints `rows` in q, (6, 10)."""
     st, ct, sp, cp = np.sin(q[3]), np.cos(q[3]), np.sin(q[4]), np.cos(q[4])
     B = np.zeros((6, 10))
     for k in range(2):
@@ -179,12 +179,15 @@ class Wheelset(Model):
         return M
 
     def force(self, t, q, v):
+        """Vector g of `M a + g + phi_q^T lam = 0`, (10,), with creep forces of normal forces that are consistent with q and v."""
         return consistent_forces(q, v)
 
     def phi(self, t, q):
+        """The six constraints, (6,), shifted to be zero at the start of the test set."""
         return rows(q) - self.offset
 
     def phi_q(self, t, q):
+        """Jacobian of the constraints in q, (6, 10)."""
         return slopes(q)
 
     def residual(self, t, q, v, a, lam):
