@@ -77,7 +77,7 @@ class Method(NamedTuple):
 
 @pack
 class Memory(NamedTuple):
-    """State of the sweep."""
+    """State of the backward sweep between two steps: right-hand sides, adjoints, products and data of the prediction."""
 
     right: np.ndarray  # (columns, n) right sides of a step
     below: np.ndarray  # (columns, m)

@@ -71,7 +71,7 @@ class ExactSteps(PythonTable, AdjointTable):
         return kron(csr_array(factors), eye_array(self.model.n), format="csr")
 
     def scale(self, h):
-        """Set the step h."""
+        """Set the step h, s, and with it the matrices of the method, `to_v / h` and `to_a / h^2`."""
         to_v, to_a = self.of_h
         self.to_v, self.to_a = to_v / h, to_a / h**2
 
@@ -155,7 +155,7 @@ class ExactSteps(PythonTable, AdjointTable):
         return w.reshape(s, n), x[s * n :].reshape(1 + self.tied, s, m), np.stack([of_q, of_v, of_a]).reshape(3, s, n)
 
     def _transposed(self, rhs):
-        """The solution of the transposed system."""
+        """The solution x of `matrix^T x = rhs`, with refinement by the factor."""
         x = np.zeros_like(rhs)
         for _ in range(ROUNDS):
             x -= self.lu.solve(self.matrix.T @ x - rhs, transposed=True)
@@ -202,7 +202,7 @@ class OneStageSteps(ExactSteps):
             saddle.slopes = (self.row_q + saddle.c_v * self.row_v) / self.units[:, None]
 
     def _transposed(self, rhs):
-        """The solution of the transposed system."""
+        """The solution (w, mu) of the transposed system for rhs, in one array (n + m,)."""
         w, mu = self.saddle.solve(*np.split(rhs, self.cuts[:1]), transposed=True)
         return np.concatenate([w, mu / self.units])
 

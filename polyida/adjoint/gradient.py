@@ -51,7 +51,7 @@ WHY = {"IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which s
 
 @overload
 def gradient(run: Any, objective: Objective, parameters: Names = ..., memory_limit: float = ..., progress: Progress = ...) -> Gradient:
-    """Of one objective: its Gradient."""
+    """Return the Gradient of one objective."""
 
 
 @overload

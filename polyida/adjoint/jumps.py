@@ -34,8 +34,9 @@ TIME_STEPPING = "time steps pass impacts without locating them, so that slopes o
 
 
 class _Part:
-    """The slopes of an objective in the frames of one motion, with the adjoints of its last state from the motion behind. As an
-    objective.
+    """The slopes of an objective in the frames of one motion, with the adjoints of its last state from the motion behind.
+
+    It is used like an objective.
     """
 
     value = 0.0

@@ -32,25 +32,25 @@ OWN = 3.0  # weight of the cell itself in a fit; its neighbours have 1
 
 @traced(3)
 def rate_strain(h, d, viscosity):
-    """E + viscosity E'."""
+    """Strain plus viscosity times its rate, `E + viscosity E'`, as (xx, xy, yy), of a displacement gradient h and its rate d."""
     return two_state_strain(h, d, viscosity, 0.0)
 
 
 @traced(3)
 def elastic_strain(h):
-    """E."""
+    """Green-Lagrange strain E, as (xx, xy, yy), of a displacement gradient h."""
     return strain(h)
 
 
 @traced(3)
 def turned(h, d):
-    """sym(F^T D)."""
+    """The change `sym(F^T D)` of the strain along D, F = I + H, as (xx, xy, yy)."""
     return symmetric_part(h, d)
 
 
 @traced(3)
 def add_weighted(total, weight, x):
-    """total + weight x."""
+    """The sum `total + weight x` of tuples, entry by entry."""
     return tuple(t + weight * y for t, y in zip(total, x))
 
 
@@ -62,7 +62,7 @@ def gap(value, by_x, by_y, place, x):
 
 @traced(1)
 def sum_of(x, y):
-    """x + y."""
+    """The sum `x + y` of two values in lanes."""
     return x + y
 
 

@@ -96,7 +96,7 @@ class _LawTotals:
         self.add_own = totals.add_own
 
     def prepare(self, works):
-        """Nothing: `add` gives the whole model others."""
+        """No effect: `add` passes on other entries, with multipliers of all rows."""
 
     def add(self, multipliers):
         """Add the slopes of AdjointMultipliers of the mode, as those of all rows."""
@@ -169,10 +169,10 @@ class _OfWhole:
         self.parameter, self.mode, self.m = parameter, mode, m
 
     def prepare(self, works):
-        """Nothing: `slope` gives the parameter others."""
+        """No effect: `slope` passes on other entries, with multipliers of all rows."""
 
     def slope(self, multipliers):
-        """The parameter's slope."""
+        """The slope of the whole model's parameter, for multipliers of the mode spread to all rows."""
         return self.parameter.slope(spread([multipliers], self.mode.columns, self.m)[0])
 
 

@@ -73,7 +73,7 @@ def _of_finest(value, nearer, finest, names):
 
 
 def _tolerances(run, factor):
-    """{name: tolerance times a factor}."""
+    """{setting: value} of an integrator: its rtol or ida_rtol, and its atol if it has one, times a factor."""
     settings = run.integrator
     rtol, atol = settings.rtol or run.state.memory.get("rtol", DEFAULT_RTOL), getattr(settings, "atol", None)
     passed = getattr(settings, "ida_rtol", None)

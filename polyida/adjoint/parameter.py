@@ -60,7 +60,7 @@ class CachedByMultipliers:
     _last: tuple = field(default=((), ()), init=False)
 
     def prepare(self, works):
-        """Cache the results of all."""
+        """Compute and keep the results of several AdjointMultipliers together, if there is a function for it."""
         if self._last[0] is not works and self.together:
             self._last = works, self.together(self.model, works)
 

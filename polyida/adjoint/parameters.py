@@ -43,7 +43,7 @@ class CellFactors(PartParameter):
     starts: Callable
 
     def prepare(self, works):
-        """The works of all cells."""
+        """Compute the works of all cells of several AdjointMultipliers together."""
         self.by_cell.prepare(works)
 
     def slope(self, work):
@@ -77,7 +77,7 @@ class PlateNumber(PartParameter):
         return sum(each(work) for each in self.works) / self.value
 
     def start(self, t, q, adjoint):
-        """Slope by the masses of all cells."""
+        """The slope of `adjoint . initial velocities` in p, by the masses of all cells; None if the start does not depend on them."""
         slopes = self.starts(t, q, adjoint)
         return slopes and float(self.model.factors[self.part][1] @ slopes[self.part]) / self.value
 
@@ -110,7 +110,7 @@ def plate_parameters(model, slopes, relaxing):
 
 
 def _plate_total(name, factors, by_cell, work):
-    """Sum over the cells of a plate."""
+    """Sum over the cells of a plate: its factors times the slopes (cells,) by `by_cell` of AdjointMultipliers."""
     return float(factors @ by_cell(work)[name])
 
 
@@ -231,7 +231,7 @@ class FieldNumber(PartParameter):
 
     @property
     def changes_coordinates(self):
-        """True for bodies."""
+        """True for fields of bodies: with another value the same q may be another position."""
         return isinstance(self.model.parts[self.part], Body)
 
     @property
@@ -324,7 +324,7 @@ def _scene_parameters(model):
     """Yield the Parameters of all parts of a scene."""
 
     def slopes(t, q, adjoint):
-        """MotionSlopes of the start."""
+        """The MotionSlopes of the scene's initial velocities at (t, q), for their adjoint (n,)."""
         return motion_slopes(model, t, q, adjoint)
 
     def changes(t, q, adjoint):

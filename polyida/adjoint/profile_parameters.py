@@ -240,7 +240,7 @@ class ProfileNumber(Parameter):
 
     @property
     def profile(self):
-        """The current profile."""
+        """The profile of the model to which the number belongs."""
         return self.model.profiles[self.drive]
 
     def slope(self, work):

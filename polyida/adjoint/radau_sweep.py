@@ -43,7 +43,7 @@ class States(NamedTuple):
     lam: np.ndarray
 
     def state(self, k):
-        """The State number k."""
+        """The State number k, 0 at the start of the first step."""
         return State(float(self.t[k]), self.q[k], self.v[k], self.a[k], self.lam[k])
 
 
@@ -92,7 +92,7 @@ class Sweep(NamedTuple):
 
 @pack
 class SweepOutput(NamedTuple):
-    """Results of the sweep."""
+    """Results of the backward sweep over `count` steps of s stages."""
 
     w: np.ndarray  # (count, s, n)
     v: np.ndarray  # (count, s, n) v*

@@ -71,7 +71,7 @@ class Gradient:
         return name in self.slopes
 
     def keys(self) -> KeysView[str]:
-        """The parameters' names."""
+        """Return the names of the parameters that have slopes."""
         return self.slopes.keys()
 
     def items(self) -> ItemsView[str, float | NDArray]:
@@ -326,7 +326,7 @@ def exclude_moving(totals, slopes, size):
 
 
 def together(sweeps, progress):
-    """The adjoints of the run's first state of sweeps over the same steps; progress is called with t."""
+    """The adjoints of the run's first state, of several sweeps over the same steps; progress is called with t."""
     results = []
 
     def steps():
@@ -364,7 +364,7 @@ class EventTimeSensitivity:
         self.times, self.slopes, self.step_slopes = [], [], []
 
     def empty(self):
-        """The same kinks and speeds without slopes, for another objective."""
+        """A copy with these kinks and speeds and without slopes, for another objective."""
         other = copy(self)
         other.times, other.slopes, other.step_slopes = [], [], []
         return other
@@ -400,6 +400,6 @@ class EventTimeSensitivity:
             sums[name] = sums[name] + total + sum(by_h * moved[s.first] + by * before.get(s.first, 0.0) for s, by_h, by in self.step_slopes)
 
     def _change(self, segment, history, speeds):
-        """dh/dp of a segment."""
+        """dh/dp of a segment: the change of its length over its number of steps."""
         ends = [float(history.states(k, k + 1)[0][0]) for k in (segment.first, segment.first + segment.count)]
         return float(np.diff(np.interp(ends, self.edges, speeds))[0]) / segment.count

@@ -397,7 +397,7 @@ class SceneAdjoint(AdjointTable):
         self.scale(1.0)
 
     def beside(self):
-        """The same for the sweep of another objective, with the same factors."""
+        """A copy for the sweep of another objective: the factors are shared, the error measures of the columns are its own."""
         other = copy(self)
         other.w = self.w | {name: np.zeros(self.columns) for name in ("unconstrained", "largest")}
         return other

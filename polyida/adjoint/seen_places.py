@@ -111,5 +111,5 @@ class _Seen:
         return self._moment.position(part_of(name, *self._models))
 
     def velocity(self, name):
-        """The velocity of the same."""
+        """The velocity of a part or attachment of the old model."""
         return self._moment.velocity(part_of(name, *self._models))

@@ -22,7 +22,7 @@ class Tape:
         self.records = []
 
     def var(self, value):
-        """A vector without predecessors."""
+        """A vector or number on the tape with this value, which depends on nothing before it."""
         return Var(self, np.array(value, float))
 
     def record(self, values, back):
@@ -162,7 +162,7 @@ class TapedModel:
         self.entries.append(AdjointMultipliers(t, value_of(q), *vectors, lam, w, *(more.get(name, rows) for name in ("mu", "kappa", "nu"))))
 
     def force(self, t, q, v):
-        """g, with force_q and force_v."""
+        """The force g, (n,), on the tape; its derivatives are force_q and force_v."""
 
         def back(adjoint):
             """Add the products of the forces' derivatives with w = the adjoint of g."""
@@ -187,7 +187,7 @@ class TapedModel:
         return self.tape.record([self.model.phi_rate(t, value_of(q), value_of(v))], back)[0]
 
     def phi_t(self, t, q):
-        """phi_t."""
+        """The partial derivative of phi in time, (m,), on the tape: the rate at v = 0."""
         return self.phi_rate(t, q, self._none[0])
 
     def phi_bias(self, t, q, v):
@@ -204,11 +204,11 @@ class TapedModel:
         return self.tape.record([self.model.phi_bias(t, value_of(q), value_of(v))], back)[0]
 
     def phi_q(self, t, q):
-        """B, for products with vectors."""
+        """B = phi_q at (t, q), for products with vectors on the tape."""
         return _Rows(self, t, q)
 
     def mass_system(self, t, q):
-        """`[[M, B^T], [B, 0]]`."""
+        """The system `[[M, B^T], [B, 0]]` at (t, q), for solves on the tape."""
         return _MassSystem(self, t, q)
 
 
@@ -226,6 +226,8 @@ def pulled_back(model, state, function, adjoints):
 
 
 class _Rows:
+    """B = phi_q of a TapedModel at (t, q), for products with vectors."""
+
     def __init__(self, taped, t, q):
         """Take a TapedModel, the time, and q, which may be on the tape: B = phi_q there."""
         self.taped, self.t, self.q = taped, t, q

@@ -65,7 +65,7 @@ class UserModelParameter(Parameter):
         return np.tensordot(weights, self.model.slope_p(self.name, values, t), 1)
 
     def of_model(self, function):
-        """Differences of copies of the model."""
+        """The slope of a function of the model in the parameter, by differences of copies."""
         slope = self.model.slope_p(self.name, lambda model: np.array([function(model)]))[0]
         return slope if np.ndim(slope) else float(slope)
 
@@ -74,12 +74,12 @@ class UserModelParameter(Parameter):
         return self.model.replaced(self.name, value)
 
     def start(self, t, q, adjoint):
-        """Differences of the model's initial velocities."""
+        """The slope of `adjoint . initial velocities` in the parameter, by differences of copies; None if it is zero."""
         slope = adjoint @ self.model.slope_p(self.name, lambda model: guard(model).initial_velocity(t, q))
         return slope if slope.any() else None
 
     def kinks(self, t0, t1):
-        """Differences of the model's kinks."""
+        """{time of a kink in (t0, t1): its derivative in the parameter}, by differences of copies, without zeros."""
         if np.ndim(self.value):
             return {}
         step = NEARBY * (abs(self.value) or 1.0)

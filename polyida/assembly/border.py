@@ -227,7 +227,7 @@ def body_blocks(pattern, left, right):
 
 @part
 def measure(border, work, moved):
-    """right = F moved. moved: (points, 2)."""
+    """Set the right-hand side to F moved, moved (points, 2) the displacements of the points."""
     zero(work.right)
     for n in range(border.block.shape[0] - 1):
         for r in range(border.row_start[n], border.row_start[n + 1]):

@@ -52,7 +52,7 @@ class Corotated(NamedTuple):
 
 @pack
 class SolveWorkspace(NamedTuple):
-    """Workspace of a solve."""
+    """Workspace of a solve with the factor of a scene and its border."""
 
     x: np.ndarray
     turn: np.ndarray  # (nodes, 2) cos and sin of P

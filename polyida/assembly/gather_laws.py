@@ -121,7 +121,7 @@ def _functions(python, calls, written, arguments, of_energy, shape):
 
 
 def slope_of(callbacks):
-    """STATIC, TIMELESS or ENERGIES of a law."""
+    """From what the discrete gradient of a law takes the slope of its energy: STATIC, TIMELESS or ENERGIES (own_laws.py)."""
     part, in_python = callbacks.functions.part, "forces" in callbacks.addresses
     if isinstance(part, ForceElement) and (part.works or in_python and "s" in callbacks.arguments):
         return ENERGIES

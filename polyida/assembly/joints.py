@@ -78,7 +78,7 @@ def turn(links, product, drives):
 
 @leaf
 def factors(links, product, cos, sin, dz):
-    """R E and F of a product."""
+    """Both factors of a product of two vectors, R E and F, as x and y of each."""
     e, f = links.product_first[product], links.product_second[product]
     x, y = vector_change(links, e, dz)
     ex, ey = rotated(cos, sin, links.vector_rest[e, 0] + x, links.vector_rest[e, 1] + y)

@@ -88,7 +88,7 @@ def law_middle(work, drives, dz0, dz1, vz, half, forces):
 
 @part
 def relaxing(work, still, moved, v, residual):
-    """residual += the forces of relaxation; still: as of `add_relaxation`."""
+    """residual += the forces of relaxation. still, 0 or 1: factor of the strain in the relaxing strains' equations."""
     add_relaxation(work.scene, moved, None, v, float(still), residual)
     return DONE
 

@@ -296,7 +296,7 @@ class Dead:
     forces: np.ndarray
 
     def power(self, t, v):
-        """W, of velocities v (n,)."""
+        """Power, W, of the load at velocities v (n,)."""
         return float(self.profile.value(t) * np.vdot(self.forces, v.reshape(-1, 2)[self.pairs]))
 
 

@@ -40,7 +40,7 @@ class Calls:
         return bool(self._errors) and get_ident() in self._errors
 
     def keep(self, error):
-        """Keep an exception of this thread."""
+        """Keep an exception that a function raised in this thread."""
         self._errors[get_ident()] = error
 
     def remember(self, key, result):

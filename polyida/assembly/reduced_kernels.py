@@ -147,7 +147,7 @@ def turn(bodies, body, moved, rotation):
 
 @part
 def forces(bodies, moved, a, residual, rotation):
-    """residual += M a + dW/dz of all; rotation: as of `turn`. Returns the least square of a frame's vector, 1e300 without bodies."""
+    """residual += M a + dW/dz of all bodies; fill rotation with the vectors that turn with them. Returns their least square, or 1e300."""
     least = 1e300
     for b in range(bodies.drag.shape[0]):
         add_mass(bodies, b, 1.0, a, residual)

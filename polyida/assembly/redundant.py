@@ -47,7 +47,7 @@ class Redundant:
         self._unique = np.max(shares, axis=0, initial=0.0) < UNIQUE if shares else np.ones(whole.m, bool)
 
     def phi(self, t, q):
-        """phi of the rows left out."""
+        """The values of phi in the rows that are left out."""
         return self.whole.phi(t, q)[self.left_out]
 
     def multipliers(self, t, q, lam):
@@ -78,7 +78,7 @@ class Redundant:
         return B[:, np.flatnonzero(np.diff(B.indptr))].toarray()
 
     def _null_space(self, t, q):
-        """N, (rows, rows left out)."""
+        """N, (rows, rows left out): multipliers of all rows whose forces cancel."""
         B, N = self._slopes(t, q), np.zeros((self.whole.m, len(self.left_out)))
         N[self._basis] = -np.linalg.lstsq(B[self._basis].T, B[self.left_out].T, rcond=None)[0]
         N[self.left_out] = np.eye(len(self.left_out))

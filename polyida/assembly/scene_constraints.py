@@ -165,7 +165,7 @@ class Constraints(Model):
         return self._rates(t, q, v)[1]
 
     def phi_bias(self, t, q, v):
-        """Return `(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,); zero if phi_q is constant."""
+        """Return `(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,); zero if phi_q is constant and nothing is driven."""
         return self._rates(t, q, v)[2] if self.needs.driven or self.needs.phi_q_varies else np.zeros(self.m)
 
     def _rates(self, t, q, v):
@@ -183,7 +183,7 @@ class Constraints(Model):
         return phi, rates
 
     def phi_rate_q(self, t, q, v):
-        """Return d(phi_q v + phi_t)/dq, (m, n), exact differences."""
+        """Return d(phi_q v + phi_t)/dq, (m, n), by exact differences."""
         return self._rates_q(t, q, v, 1)
 
     def phi_bias_q(self, t, q, v):
@@ -273,7 +273,7 @@ class Constraints(Model):
         return side.point + self._moved(side, "point", q)
 
     def velocity(self, name, v):
-        """Velocity (2,), m/s, of the same, for v (n,)."""
+        """Velocity (2,), m/s, of a mass, load or joint, given by name or itself, or of an attachment, for v (n,)."""
         return self._moved(self.side(name), "point", v[None])[0]
 
     def _moved(self, side, part, q):

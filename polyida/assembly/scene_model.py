@@ -101,7 +101,7 @@ class SceneModel(SceneBodies):
             self._leave_out_redundant(0.0, np.zeros(self.n))
 
     def _use_parts(self, held, left_out=()):
-        """Take from the parts all that depends on which of them act; arguments as of `_assemble`."""
+        """Take from the parts all that depends on which of them act. held: {name: joint as it holds}; left_out: rows to omit."""
         self._assemble(held, left_out)
         elements, elastic = of_kind(self.parts, ForceElement), [placed for placed in self.reduced_bodies if placed.elastic]
         functions = iter([one.functions for one in self.callbacks])
@@ -155,7 +155,7 @@ class SceneModel(SceneBodies):
         return other
 
     def _acting(self, absent, since, left_out):
-        """A copy without the parts named in `absent`, and without the rows with the numbers `left_out`; since: as of `mode`."""
+        """A copy without the parts named in `absent`, and without the rows `left_out`. since: {name: (1 + n,), t and q} of added joints."""
         heavy = any(isinstance(self.parts[name], PointMass) for name in {*absent, *(self.late or ())})
         other = self._copy({"pattern", "first_pairs", *(() if heavy else OF_FACTORS)})
         other.whole, other.absent, other.since = self, absent, since

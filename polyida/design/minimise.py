@@ -73,7 +73,7 @@ class Stage:
 
     @property
     def sharp(self) -> Sharpness:
-        """Numbers of the densities."""
+        """The Sharpness of the densities in this stage: q and beta."""
         return Sharpness(float(self.q), self.beta)
 
 
@@ -374,7 +374,7 @@ class _StageSearch:
             return self.unit * f
 
         def limits(result, x, slope):
-            """Fill the scaled limits, in nlopt's form."""
+            """Fill the scaled limits and, unless it is empty, `slope`, in nlopt's form."""
             _, _, c, by_x = self.at(x)
             result[:] = self.units * c
             if slope.size:

@@ -212,7 +212,7 @@ class Problem:
         self.labels = self._labels()
 
     def _labels(self):
-        """A name for each held limit."""
+        """A name for each limit in each case that it holds in; equal ones get a number."""
         several, result = len(self.cases) > 1, []
         for limit, case in self.held:
             label = label_of(limit.objective) + (f", {case.name}" if several else "")
@@ -220,7 +220,7 @@ class Problem:
         return result
 
     def setting(self, x: NDArray, sharp: Sharpness = Sharpness()) -> Setting:  # noqa: B008, an immutable default
-        """Return what an evaluation at x needs."""
+        """Return the Setting of an evaluation at x: the maps, their parts of x, and the Sharpness."""
         x = vector("Problem", "x", x, sum(one.size for one in self.maps))
         return Setting(self.maps, tuple(np.split(x, self.splits)), instance("Problem", "sharp", sharp, Sharpness))
 

@@ -147,7 +147,7 @@ def solid(
 
 
 class _Tried(NamedTuple):
-    """A design on solid meshes that was run; fields as of SolidDesign, values: of the objective and the limits."""
+    """A design on solid meshes that was run, with fields of a SolidDesign; values: of the objective and the limits."""
 
     at: float
     meshes: dict

@@ -79,7 +79,7 @@ class Densities:
 
     @property
     def name(self) -> str:
-        """The plate's name."""
+        """The name of the variable, which is that of its plate."""
         return self.plate
 
     def bound(self, model: Any) -> DensityMap:
@@ -111,7 +111,7 @@ class DensityMap:
         self.start = np.broadcast_to(variable.start, self.size)
 
     def value(self, x, sharp):
-        """rho (cells,)."""
+        """Densities rho of the cells, (cells,), of the variables x at a Sharpness."""
         return self._densities(x, sharp)[0]
 
     def _densities(self, x, sharp):
@@ -184,12 +184,12 @@ class Size:
         return float(self.lower * (self.upper / self.lower) ** x if self.log else self.lower + x * (self.upper - self.lower))
 
     def rate(self, x: float) -> float:
-        """Return its derivative in x."""
+        """Return the derivative of the number in x."""
         return self.value(x) * float(np.log(self.upper / self.lower)) if self.log else self.upper - self.lower
 
     @property
     def first(self) -> float:
-        """x of the start, 0 to 1."""
+        """The x, from 0 to 1, of the start; 0.5 without a start."""
         if self.start is None:
             return 0.5
         ends = np.array([self.lower, self.start, self.upper], float)
@@ -216,7 +216,7 @@ class SizeMap:
         self.start = np.array([variable.first])
 
     def value(self, x, sharp):
-        """The number."""
+        """The number that the variable x (1,) stands for."""
         return self.variable.value(x[0])
 
     def parameters(self, model):
@@ -243,7 +243,7 @@ class BuiltSizeMap(SizeMap):
         self.start = np.array([variable.first])
 
     def parameters(self, model):
-        """None: `Problem` has it."""
+        """An empty list, because `Problem` adds the parameter itself."""
         return []
 
     def applied(self, model, x, sharp):
@@ -276,7 +276,7 @@ class BuiltSize(Parameter):
         return self._models[s]
 
     def slope(self, work):
-        """Differences of fourth order."""
+        """The slope of the sum over AdjointMultipliers, by differences of fourth order between built models."""
         return float(along(lambda s: total(self._model(s), work), self.scale))
 
     def of_model(self, function):

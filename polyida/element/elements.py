@@ -186,7 +186,7 @@ def virtual(mesh, tau=0.1, kept=None):
 
 
 def _virtual(corners, cells, nodes, tau):
-    """The data of virtual elements: as of _wachspress, with the stabilisation (n, n, c) behind them."""
+    """The arrays of `_wachspress` for virtual elements, and behind them the stabilisation (n, n, c)."""
     n = len(corners)
     corners = corners - corners.mean(axis=0)
     lengths = np.sqrt(((after(corners) - corners) ** 2).sum(axis=1))

@@ -324,7 +324,7 @@ def mass_product(indptr, indices, mass, scale, node_offset, a, residual):
 
 @traced(1, pair)
 def _add_pull(total, weight, other, own):
-    """total + weight (other - own)."""
+    """The sum `total + weight (other - own)` for a node and its neighbour."""
     return total + weight * (other - own)
 
 

@@ -94,7 +94,7 @@ def _directions(half, corners, first, node_offset, count, out):
 
 @part
 def _strain(half, h, gradients, start, directions, count):
-    """The strain that `relax` stores."""
+    """The strain E of h; with `half` the mean of E at H - d and H + d, d the gradient of `half`."""
     if half is None:
         return strain_of(h)
     return mean_strain(h, _gradient(gradients, start, directions, count))
@@ -102,7 +102,7 @@ def _strain(half, h, gradients, start, directions, count):
 
 @entry
 def strain_at_points(cells, moved, out):
-    """Store the strain at `moved` in out."""
+    """Store the strain at displacements `moved` in out, for all points of all cells."""
     work = _workspace(cells.layout, 2, 0)
     for b in range(cells.layout.shape[0]):
         m = cells.layout[b, 0] - 1
@@ -151,7 +151,7 @@ def relaxation_products(cells, material, moved, along, viscous_strain, back, nod
 
 @entry
 def relax_stress(cells, lane_cells, areas, material, moved, viscous_strain, out):
-    """Add the Cauchy stress of -D : viscous_strain to out (cells, 3), as of kernels.stress."""
+    """Add the Cauchy stress of the relaxed part, -D : viscous_strain, to out (cells, 3)."""
     lam_bar, two_mu = lame(material)
     work = _workspace(cells.layout, 2, 0)
     for b in range(cells.layout.shape[0]):

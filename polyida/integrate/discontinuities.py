@@ -132,7 +132,7 @@ class Grid(NamedTuple):
 
     @property
     def h(self):
-        """The step, s."""
+        """Length of each step, s: that of the grid over `count`."""
         return (self.end - self.begin) / self.count
 
     def time(self, k):

@@ -73,12 +73,12 @@ class EquilibriumPath:
 
     @property
     def q(self) -> NDArray:
-        """(points, n)."""
+        """Coordinates q of all points, (points, n)."""
         return np.array([state.q for state in self.states])
 
     @property
     def lam(self) -> NDArray:
-        """(points, m)."""
+        """Multipliers lam of all points, (points, m)."""
         return np.array([state.lam for state in self.states])
 
     @property

@@ -22,7 +22,10 @@ def row_sizes(model, q, rows):
 
 
 def rate_sizes(model, q, v, rows):
-    """The same of `phi_q v + phi_t`: the speed is |v|, in a scene at least `sqrt(g length)`, in others the size of q in a second."""
+    """Change of each row of `phi_q v + phi_t`, (m,), at the model's speed: the unit in which it is zero or not.
+
+    The speed is |v|, in a scene at least `sqrt(g length)`, in others the size of q in a second.
+    """
     if model.is_scene:
         return max(float(np.abs(v).max(initial=0.0)), model.state_speed) / model.extent * row_sizes(model, q, rows)
     changes = np.maximum(coordinate_changes(model, q, q) / SECOND, coordinate_changes(model, q, v) if v.any() else 0.0)

@@ -119,7 +119,7 @@ def memory_of_rest(model, t, q, r, solve):
 
 
 def _residual_at_rest(model, state, grid, counts):
-    """r of a state at rest, or None."""
+    """r of a state that stays at rest in the next step of the grid, (n,); else None."""
     if state.v.any() or np.abs(model.phi(state.t, state.q)).max(initial=0.0) > CLOSED * extent(model, state.q):
         return None
     if model.sampled(state.t, state.q, state.v) is not state.v:  # outputs of controllers may set it in motion

@@ -68,7 +68,7 @@ class Equilibrium(State):
 
 
 class OwnSystem:
-    """The system of `c_m M + K` and B at a state at rest by the model's own step matrix. Raises SingularSystem."""
+    """The system of `c_m M + K` and B at a state with v = 0, by the model's own step matrix. Raises SingularSystem."""
 
     def __init__(self, model, t, q, lam, c_m):
         """Factor `c_m M + K` at (t, q, lam) with v = 0 and a = 0."""

@@ -63,13 +63,13 @@ def less_two(x, a, b, p, q):
 
 @traced(4, columns)
 def products_of_four(sums, x, a, b, c, d):
-    """Sums over rows of U times x."""
+    """Sums over four rows of U times x."""
     return tuple(total + row * x for total, row in zip(sums, (a, b, c, d)))
 
 
 @traced(2, columns)
 def products_of_two(sums, x, a, b):
-    """The same of two rows."""
+    """Sums over two rows of U times x."""
     return sums[0] + a * x, sums[1] + b * x
 
 
@@ -95,7 +95,7 @@ def backward_two_rows(x, sums, a0, b1, a1):
 
 @traced(1, columns)
 def sum_of(x, y):
-    """x + y."""
+    """The sum x + y of two values, column by column."""
     return x + y
 
 
@@ -111,7 +111,7 @@ def solve_columns(fronts, panels, columns):
 
 @part
 def descend(fronts, panels, columns, work, front):
-    """The forward half on a front."""
+    """The forward half of the solve on one front, for all columns."""
     first, own, low = fronts.first[front], fronts.first[front + 1] - fronts.first[front], fronts.start[front]
     nodes = own + fronts.start[front + 1] - low
     for k in range(own):
@@ -128,7 +128,7 @@ def descend(fronts, panels, columns, work, front):
 
 @part
 def ascend(fronts, panels, columns, work, front):
-    """The backward half on a front."""
+    """The backward half of the solve on one front, for all columns."""
     first, own, low = fronts.first[front], fronts.first[front + 1] - fronts.first[front], fronts.start[front]
     nodes = own + fronts.start[front + 1] - low
     for k in range(own):

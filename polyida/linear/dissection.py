@@ -80,7 +80,7 @@ def _reached(indptr, indices, nodes, place, first, children):
 
 
 def _update_entries(rows):
-    """Of a packed upper triangle."""
+    """Number of entries of a packed upper triangle that couples the nodes `rows`, two unknowns each."""
     return len(rows) * (2 * len(rows) + 1)
 
 

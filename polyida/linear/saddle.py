@@ -311,7 +311,7 @@ class StepMatrix:
             self.lu = LU(S)
 
     def again(self, made_at: NDArray, c_m: complex, c_v: complex) -> None:
-        """Repeat a factorization of S."""
+        """Repeat the factorization of S at the state made_at, (t, q, v, a, lam) in one array."""
         q, v, a, lam = np.split(made_at[1:], np.cumsum([self.model.n] * 3))
         self.factor(float(made_at[0]), q, v, a, lam, c_m, c_v)
 
@@ -358,7 +358,7 @@ class StepMatrix:
 
 
 class WholeMatrix(StepMatrix):
-    """The same by one factor of `[[S, B^T], [B, 0]]`, scaled on request; its B is as old as S."""
+    """A StepMatrix by one factor of `[[S, B^T], [B, 0]]`, scaled on request; its B is as old as S."""
 
     def __init__(self, model, scaling):
         """Take the model and the scaling of its whole matrix."""
@@ -391,7 +391,7 @@ class ExactSaddle:
         self.here = ()
 
     def at(self, t, q, v, a, lam):
-        """Evaluate the matrices of a state."""
+        """Evaluate M, K, C, B and S at a state; the next solve factors them."""
         model, self.here, self.direct = self.model, (t, q, v, a, lam), None
         self.C = model.force_v(t, q, v) if model.needs.velocity_forces else None
         if model.is_scene and model.small:

@@ -153,7 +153,7 @@ class Model:
 
     @property
     def few(self) -> Any:
-        """The same as `reduced_bodies`, under its former name."""
+        """Its bodies of few coordinates, `reduced_bodies`."""
         return self.reduced_bodies
 
     def __repr__(self):

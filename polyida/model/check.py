@@ -35,7 +35,7 @@ def energies(model, t, q):
     if not model.is_scene:
 
         def conservative(q):  # a model that has powers, or time in its force, need not have its force at rest as slope of its potential
-            """Minus the force at rest if it is conservative, (n,), else None."""
+            """Minus the force at v = 0, without states, (n,); None if it varies in time, and for models with powers or no potential."""
             if writes(model, "powers") or model.potential(q) is None:
                 return None
             here, later = (model.force(time, q, np.zeros(model.n)) for time in (t, t + differences.LATER))

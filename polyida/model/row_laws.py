@@ -220,7 +220,7 @@ class Slipping:
         self.last_masses = None  # its SlippingMasses are asked for several times at one position
 
     def pressures(self, lam, presses):
-        """(|lam_on| (k,) of the slips, its slopes by lam (k, m)) at multipliers, (m,); those of a contact have signs. presses: as of `pressing`."""
+        """(|lam_on| (k,) of the slips, its slopes by lam (k, m)) at lam (m,); signed on a contact. presses (m, k): 1 if a row presses."""
         sizes = np.where(self.on_contact, 1.0, np.sqrt(lam**2 @ presses))
         shares = np.where(self.on_contact, -1.0, lam[:, None] / np.where(sizes > 0.0, sizes, 1.0)) * presses
         return np.where(self.on_contact, -(lam @ presses), sizes), shares.T
@@ -330,7 +330,7 @@ class SlippingMasses:
         return np.eye(len(shares)) - self.model.slope[:, None] * (shares @ self.Y)
 
     def determinant(self, lam):
-        """That of `slope` at lam."""
+        """Determinant of `slope` at multipliers lam (m,)."""
         return float(np.linalg.det(self.slope(self.model.pressures(lam, self.presses)[1])))
 
     def solve(self, r, phi):

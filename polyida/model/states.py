@@ -150,7 +150,7 @@ def states_at(numbers, sizes):
 
 @part
 def fill_states(out, mass, a, rates, factors):
-    """The equations of states in r."""
+    """Fill r of the states: -rates times factors, plus mass times their accelerations."""
     for i in range(out.shape[0]):
         out[i] = -rates[i] * factors[i]
         if mass != 0.0:

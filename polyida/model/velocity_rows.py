@@ -40,7 +40,7 @@ class VelocityRows:
         return values
 
     def phi(self, t, q):
-        """phi and zeros, (m + p,)."""
+        """phi of the user, and zeros for the velocity rows, (m + p,)."""
         return np.append(self.user.phi(t, q), np.zeros(self.count))
 
     def phi_q(self, t, q):
@@ -53,7 +53,7 @@ class VelocityRows:
         return np.vstack([dense(self.user.phi_q(t, q)), W])
 
     def phi_t(self, t, q):
-        """phi_t and w, (m + p,)."""
+        """phi_t of the user, and w = psi at v = 0, (m + p,)."""
         return np.append(self.user.phi_t(t, q), self.psi_at(t, q, np.zeros(self.user.n)))
 
     def phi_rate(self, t, q, v):

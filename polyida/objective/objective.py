@@ -148,7 +148,7 @@ class Objective:
     of_frames: bool = True
 
     def __call__(self, run: Any) -> float:
-        """Return the value."""
+        """Return the value J of a run."""
         raise NotImplementedError(f"{type(self).__name__} gives no value")
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:

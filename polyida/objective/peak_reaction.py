@@ -197,7 +197,7 @@ class Reaction:
         self.reaction = self._at()
 
     def by_multipliers(self, toward):
-        """`dR/dlam^T toward`, (frames, rows)."""
+        """The product `dR/dlam^T toward`, (frames, rows), of vectors toward (frames, components)."""
         return _against(lambda way: self._at(lam=self.lam + way), self.lam, toward)
 
     def by_coordinates(self, toward):

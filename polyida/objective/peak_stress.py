@@ -113,7 +113,7 @@ class PeakStress(TimeMean):
 
 
 def _pull(bodies, u, stresses, adjoint):
-    """Forces on the nodes (nodes, 2)."""
+    """Forces on the nodes (nodes, 2): the slope in u of the sum of adjoints times von Mises stresses of all bodies."""
     forces = np.zeros_like(u)
     for body, stress, one in zip(bodies, stresses, adjoint):
         body.pull(u, stress, one, forces)
@@ -138,7 +138,7 @@ class CellStress:
         return self.share * von_mises(stress, self.across * (stress[:, 0] + stress[:, 1]))
 
     def stress(self, u):
-        """Cauchy's, (cells, 3): xx, yy, xy, Pa."""
+        """Cauchy stress of the cells, (cells, 3): xx, yy, xy, Pa."""
         operator, out = self.operator, np.empty((self.operator.n_cells, 3))
         element.stress(operator.cells(self.body.nodes.start), operator.lane_cells, operator.areas, Material(*self.moduli), u, out)
         return out
@@ -222,7 +222,7 @@ class Elastic:
         self.drives = model.drives(0.0)
 
     def energies(self, q):
-        """Of frames q (count, n), (count,), J."""
+        """Strain energies of frames q (count, n), (count,), J."""
         values = np.empty(len(q))
         fill_energies(self.arrays, _pairs(q, self.model), values)
         return values + sum(np.array([own.energy(own.places(each)) for each in q]) for own in self.own)
@@ -277,7 +277,10 @@ def _cell_energies(model, body, q, factor):
 
 
 def _stabilised(model, number, u, factor):
-    """The same of a virtual element's stabilisation: `-t tr(C) S_ij |u_i - u_j|^2 / 4` of every pair of nodes."""
+    """Sum over frames of factor times the stabilisation energy of every cell of a plate at a factor of 1, (cells,), J.
+
+    It is 0 without stabilisation, else `-t tr(C) S_ij |u_i - u_j|^2 / 4` of every pair of nodes.
+    """
     scale, operator = model.arrays.plates.body_stabilisation[number], model.bodies[number].operator
     if not scale:
         return 0.0

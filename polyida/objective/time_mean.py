@@ -70,29 +70,29 @@ class Frames:
     """The frames of a slice of a run, each array read on first use. moves (count,): times by which they are moved along v, or None."""
 
     def __init__(self, run, part, moves=None):
-        """Take a run and the slice of its frames; moves: as of Frames, s."""
+        """Take a run, the slice of its frames, and the times (count,), s, by which they move along v, or None."""
         self.run, self.part, self.moves = run, part, moves
 
     @cached_property
     def t(self):
-        """Times, (count,)."""
+        """Times of the frames, s, (count,), with their moves."""
         t = np.asarray(self.run.t[self.part], float)
         return t if self.moves is None else t + self.moves
 
     @cached_property
     def q(self):
-        """Coordinates, (count, n)."""
+        """Coordinates of the frames, (count, n), moved along v."""
         q = np.asarray(self.run.q[self.part], float)
         return q if self.moves is None else q + self.moves[:, None] * np.asarray(self.run.v[self.part], float)
 
     @cached_property
     def v(self):
-        """Velocities, (count, n)."""
+        """Velocities of the frames, (count, n), without moves."""
         return np.asarray(self.run.v[self.part], float)
 
     @cached_property
     def lam(self):
-        """Multipliers, (count, m)."""
+        """Multipliers of the frames, (count, m), without moves."""
         return np.asarray(self.run.lam[self.part], float)
 
 
@@ -210,10 +210,9 @@ def _span(run):
 
 
 def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: float) -> NDArray:
-    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks; span: as in
-    `_evaluator`.
+    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks.
 
-    At a kink it is the mean of the derivatives on both sides.
+    At a kink it is the mean of the derivatives on both sides. span: the mean time between frames, s.
     """
     wide = FRAMES_WIDE * (span or 1.0)
 

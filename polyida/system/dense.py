@@ -90,7 +90,10 @@ class Dense(NamedTuple):
 
 
 def workspace(n, m, functions, data, flags, stages=0, levels=NO_LEVELS):
-    """A Dense of n coordinates and m constraints, with Slots for methods of some stages; levels: as of Slots."""
+    """A Dense of n coordinates and m constraints, with Slots for methods of some stages.
+
+    levels (k, 3): factors of phi, phi' and phi'' in each of k blocks of constraint rows.
+    """
     size = n + m
     return Dense(
         functions=functions,
@@ -124,7 +127,7 @@ def workspace(n, m, functions, data, flags, stages=0, levels=NO_LEVELS):
 
 
 def workspace_of_slots(n, m, count, levels):
-    """Slots of n coordinates and m constraints."""
+    """Slots for `count` factors of n coordinates and m constraints. levels (k, 3): factors of phi, phi' and phi'' in k blocks of rows."""
     size = n + len(levels) * m if count else 0
     return Slots(
         K=np.zeros((count, n, n)),

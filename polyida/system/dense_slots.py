@@ -31,7 +31,7 @@ def blocks(work, at):
 
 @part
 def complex_coordinates(work, at):
-    """The complex array (n,) at an address."""
+    """The complex array (n,) at an address, a view."""
     return carray(complex_pointer(at), work.q.shape)
 
 

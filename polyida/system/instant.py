@@ -163,7 +163,7 @@ def inertia(model, instant, v, a, force, momentum, q, closing):
 
 @part
 def matrices(model, instant, q, v, a, lam, slot, eigenvalues):
-    """Make K, C and M of a state, or the factors for eigenvalues, as of `select`; store them under the number of a slot."""
+    """Make K, C and M of a state, or the factors for the eigenvalues (3,) of both modes; store them under the number of a slot."""
     functions, workspace = model
     return call(functions[table.MATRICES], (workspace, instant, q, v, a, lam, slot, eigenvalues))
 

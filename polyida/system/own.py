@@ -140,7 +140,7 @@ class PythonTable:
         return self._at(instant)[0], self._array(q, self.model.n).copy()
 
     def _stage(self, instant):
-        """Index of an instant's increments and B."""
+        """Index of the stage of an instant, under which its increments and B are stored."""
         return (instant - 1) % (self.stages + 1)
 
     def _begin(self, instant, q, v, *_):
@@ -315,7 +315,7 @@ class DenseTable(PythonTable):
 
     @contextmanager
     def at_work(self, system):
-        """As PythonTable.at_work; S is in the workspace."""
+        """(addresses of the functions, address of the workspace), with S of a step matrix copied to the workspace."""
         self.serve()
         if system is not self.factored:
             self.factored, self.w.S[...], self.w.flags[small.FACTORED] = system, system.S, 0

@@ -118,7 +118,7 @@ class Scene:
         return error
 
     def raise_error(self):
-        """Raise that exception."""
+        """Raise the exception of a Python function that compiled code called, if there is one."""
         if (error := self.take_error()) is not None:
             raise error
 

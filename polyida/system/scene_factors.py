@@ -121,7 +121,7 @@ def use_stored(stored, mode, eigenvalue, slot):
 
 @part
 def select(work, slot, eigenvalues):
-    """Use the factors of a slot; eigenvalues: as of `mode_values`."""
+    """Use the factors of a slot. eigenvalues (3,): c of the real mode, real and imaginary part of that of the complex one."""
     if work.stored.chosen[0] != slot:
         work.stored.chosen[0] = slot
         use_stored(work.stored.real, work.real, eigenvalues[0], slot)

@@ -140,7 +140,7 @@ def begin(work, instant, moved, v, times):
 
 @part
 def add_slowing(work, moved, v, still, residual):
-    """Add the forces of damping and relaxation to the residual; still, 0 or 1: as of `add_relaxation`."""
+    """Add the forces of damping and relaxation to the residual. still, 0 or 1: factor of the strain in the relaxing strains' equations."""
     optional = work.optional
     if optional[DAMPING] != 0:
         call(optional[DAMPING], (optional[PARTS], moved, v, work.damp, residual))

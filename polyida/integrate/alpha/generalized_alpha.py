@@ -208,7 +208,7 @@ class GeneralizedAlpha(Integrator):
 
     @property
     def coefficients(self) -> Coefficients:
-        """The member's coefficients."""
+        """alpha_m, alpha_f, beta and gamma: those of `member`, or Chung and Hulbert's for rho_inf."""
         return Coefficients(*self.member) if self.member is not None else Coefficients.chung_hulbert(self.rho_inf)
 
     @property
@@ -229,7 +229,7 @@ class GeneralizedAlpha(Integrator):
         return self.h is None or self.rtol is not None or self.atol is not None
 
     def without_halving(self) -> Self:
-        """The same with max_halvings = 0 if its steps are fixed."""
+        """The integrator with max_halvings = 0 if its steps are fixed; itself if they are adaptive."""
         return self if self.adaptive else replace(self, max_halvings=0)
 
     def settings_used(self, memory: dict) -> dict:
@@ -257,7 +257,7 @@ class GeneralizedAlpha(Integrator):
     def in_pieces(
         self, model: Model, state: State, t_end: float, counts: Counts, split: int = 1, rows: Any = None, recorder: Any = None
     ) -> Iterator[Stretch]:
-        """Stretches of the same states, with steps of h / split; recorder: see Steps."""
+        """Stretches of the accepted states up to t_end, with steps of h / split; recorder: what records the segments and steps, or None."""
         if self.h is None:
             control = control_of_run(self, model, state, t_end)
         else:

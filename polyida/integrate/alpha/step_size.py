@@ -88,7 +88,7 @@ class StepSizeController:
 
     @property
     def h(self):
-        """The step, s."""
+        """The step at the present level, s."""
         return self.control.largest * 2.0 ** (-self.level / LEVELS)
 
     def reduce(self, error):

@@ -86,7 +86,7 @@ def predict(h, now, rows, marks):
 
 @part
 def fill_middle(h, now):
-    """q, v and a of the middle."""
+    """Set q, v and a of the middle from q and v at the beginning and q at the end."""
     for i in range(now.shape[1]):
         now[VM, i] = (now[Q1, i] - now[Q0, i]) / h
         now[AM, i] = 2.0 * (now[VM, i] - now[V0, i]) / h

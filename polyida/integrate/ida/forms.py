@@ -97,7 +97,7 @@ class System:
         return atol
 
     def clamp(self, t):
-        """t clamped to `limits`."""
+        """The time t, or the nearest of `limits` if it is outside."""
         return min(max(t, self.limits[0]), self.limits[1])
 
     def at(self, t, y, yp):
@@ -115,7 +115,7 @@ class System:
 
     @property
     def rows_vary(self):
-        """True if phi_q varies."""
+        """True if phi_q depends on t or q."""
         needs = self.model.needs
         return self.model.m > 0 and (needs.driven or needs.phi_q_varies)
 

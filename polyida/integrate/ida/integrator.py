@@ -168,7 +168,7 @@ class IDA(Integrator):
         return rtol, np.array(self.atol[:n]), np.array(self.atol[n:])
 
     def _strictness(self, model):
-        """The power of rtol that SUNDIALS gets."""
+        """The exponent p: SUNDIALS gets rtol^p, a stricter one with flexible bodies."""
         return 1 + 1 / self.largest_order(model) if self.atol is None and model.flexible else 1.0
 
     def relative_tolerance(self) -> float | None:

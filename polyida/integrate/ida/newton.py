@@ -119,7 +119,7 @@ class Correction:
         )
 
     def begin(self, t, y):
-        """IDA starts anew from y at t."""
+        """Forget earlier steps: IDA starts anew from y at t."""
         n = self.system.model.n
         self.predicted.begin(t, y[:n])
         self.table.evaluate_constants(t, y[:n].copy())

@@ -52,7 +52,7 @@ class Columns:
         self.forget()
 
     def forget(self):
-        """Make all columns again."""
+        """Drop all columns, so that they are made again."""
         self.known, self.together, self.product = {}, (b"",), (None, None)
         self.least, self.wasted = np.inf, 0
 

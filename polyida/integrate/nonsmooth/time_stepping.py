@@ -92,7 +92,7 @@ class NonsmoothAlpha(TimeStepping):
 
     @property
     def coefficients(self) -> Coefficients:
-        """alpha_m, alpha_f, beta, gamma."""
+        """alpha_m, alpha_f, beta and gamma of Chung and Hulbert for rho_inf."""
         return Coefficients.chung_hulbert(self.rho_inf)
 
     def newton_tolerance(self, scale: float) -> tuple[float, float, float]:

@@ -86,7 +86,7 @@ class StretchStates(Stretch):
 
     @property
     def last(self):
-        """The last State."""
+        """The State at the last of these ends."""
         return self.state(len(self) - 1)
 
     def state(self, k):
@@ -128,12 +128,12 @@ class StepState(State):
 
     @cached_property
     def a(self):
-        """q'', (n,)."""
+        """q'' that is consistent with q and v, (n,)."""
         return self._motion[0]
 
     @cached_property
     def lam(self):
-        """The multipliers, (m,)."""
+        """Multipliers that are consistent with q and v, (m,)."""
         return self._motion[1]
 
     @cached_property

@@ -83,11 +83,11 @@ class FactorWithRows:
         self.lu, self.dtype = LU(S), S.dtype
 
     def solve(self, q, b):
-        """S^-1 b."""
+        """S^-1 b, b (n,) or (n, k); q has no influence."""
         return self.lu.solve(b)
 
     def columns(self, q, B):
-        """S^-1 B^T."""
+        """S^-1 B^T, (n, rows of B); q has no influence."""
         return self.lu.solve(B.T.astype(self.dtype))
 
 
@@ -140,7 +140,7 @@ class Matrices:
 
     @property
     def lam(self):
-        """lam of `made_at`."""
+        """Multipliers lam, (m,), of the state `made_at`."""
         return self.made_at[1 + 3 * self.model.n :]
 
     def surround(self, rows, q, counts):
@@ -157,7 +157,7 @@ class Matrices:
             self.borders.append(Border(np.hstack([X, self._free(k, slope @ rows.G.T)]) if rows.tied else X))
 
     def inertia(self, v, a):
-        """C v + M a."""
+        """The force `C v + M a`, (n,), with C and M of `made_at`."""
         force = self.M @ a
         return force if self.C is None else force + self.C @ v
 

@@ -136,7 +136,7 @@ class RadauIIA(Integrator):
         return self.rtol if self.adaptive else None
 
     def without_halving(self) -> "RadauIIA":
-        """The same settings with max_halvings = 0 if steps are fixed."""
+        """The integrator with max_halvings = 0 if its steps are fixed; itself if they are adaptive."""
         return self if self.adaptive else replace(self, max_halvings=0)
 
     def settings_used(self, memory: dict) -> dict:
@@ -186,7 +186,7 @@ class RadauIIA(Integrator):
                 state = stretch.last
 
     def _first(self, sizes, span):
-        """The first step, s."""
+        """The first step, s: `first_step`, or by the tolerance and the model's length and speed, at most span."""
         length, speed = sizes[:2]
         return self.first_step or min(span, FIRST_STEP_SHARE * length / speed * self.relative(sizes) ** (1 / (self.stages + 1)))
 

@@ -21,7 +21,7 @@ PHI, PHI_RATE = range(2)  # of rows
 
 @pack
 class Method(NamedTuple):
-    """Numbers of the method."""
+    """Options, tolerances and other numbers of the method."""
 
     tied: bool  # there is mu
     by_increments: bool  # phi is updated by increments
@@ -103,7 +103,7 @@ class Trial(NamedTuple):
 
 @pack
 class Scratch(NamedTuple):
-    """Workspace of a step."""
+    """Workspace of the compiled driver for one step."""
 
     times: np.ndarray  # (s + 6,) h, t, times of the instants and the argument of SELECT
     q: np.ndarray  # (n,) q, v, a and lam of one state

@@ -31,7 +31,7 @@ CHUNK = 4_000_000  # largest size of the record of a stretch, bytes
 
 
 def new_control(t, level=0.0):
-    """Control.now at a time."""
+    """The array Control.now, (6,), before the first step from time t, s; level: of the step size."""
     return np.array([level, t, 0.0, 0.0, 0.0, 0.0])
 
 
@@ -90,7 +90,7 @@ class Steps:
                 self.slots.states[slot] = row[1:]
 
     def clamp(self, t):
-        """t limited to `limits`."""
+        """The time t, or the nearest of `limits` if it is outside."""
         return float(min(max(t, self.limits[0]), self.limits[1]))
 
     def start_from(self, state):

@@ -41,7 +41,7 @@ class Tableau(NamedTuple):
 
     @property
     def stages(self):
-        """s."""
+        """The number s of stages."""
         return len(self.c)
 
     @property

@@ -175,7 +175,7 @@ class PythonStages(Stages, PythonTable):
 
 
 class DenseStages(Stages, DenseTable):
-    """The table of a small model; levels: as of Slots in system/dense.py."""
+    """The table of a small model. levels (k, 3): factors of phi, phi' and phi'' in each of k blocks of constraint rows."""
 
     entries = (
         of.RESIDUAL, of.PREPARE, of.BEGIN, of.REACTION, of.CONSTRAINTS, of.RATE, of.BIAS, of.PROJECT, of.ACCEPT, of.ROWS, of.REAL, of.PAIR,

@@ -75,7 +75,7 @@ class SceneStages(Scene):
         return NEVER  # rigid: a new factor for the same step is the old one
 
     def evaluate_constants(self, t, q):
-        """No effect."""
+        """No effect: a scene has no constants to evaluate before a run."""
 
     def begin(self, engine, state, control, ends):
         """Prepare a stretch: the loads and motors of equal steps are evaluated before it, those of adaptive ones in each step."""
