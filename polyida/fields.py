@@ -21,7 +21,7 @@ CHECK = "polyida.check"  # key of the metadata of a field
 
 
 def check(function: Callable[..., Any], *limits: Any) -> dict[str, Any]:
-    """Metadata of a field: its value becomes `function(label, name, value, *limits)`."""
+    """Metadata of a dataclass field: `check_fields` replaces its value by `function(label, name, value, *limits)`."""
     return {CHECK: (function, limits)}
 
 

@@ -87,7 +87,7 @@ class _Reader:
         self.alive = []  # the objects: the id of a deleted one would be reused
 
     def by_name(self, module):
-        """True if the contents of a module are represented by names."""
+        """True if a module counts as installed, so that its contents are represented by their names."""
         return _installed(module)
 
     def note(self, *texts):

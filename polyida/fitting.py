@@ -256,7 +256,7 @@ class _Calls:
 
 
 def _covariance(jacobian, scale, residuals, sigma):
-    """(p, p), with a warning if parameters cannot be told apart."""
+    """Covariance matrix of the parameters, (p, p); warns if the measured values do not determine all of them."""
     _, sizes, rows = np.linalg.svd(jacobian * scale, full_matrices=False)
     if not sizes[-1] > APART * sizes[0]:
         warnings.warn("fit: the measured values do not determine all parameters: see .correlation", stacklevel=4)

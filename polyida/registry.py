@@ -142,7 +142,7 @@ def study_folder() -> Path:
 
 
 def places(package: str, modules: Mapping[str, Iterable[str]]) -> dict[str, Any]:
-    """{name: "module:name"} of names by the modules of a package that define them."""
+    """{name: "package.module:name"} of names that modules of a package define, {module: names}."""
     return {name: f"{package}.{module}:{name}" for module, names in modules.items() for name in names}
 
 

@@ -54,7 +54,7 @@ def number_text(value):
 
 
 def short(value, longest=LONGEST):
-    """A value on one line of at most so many characters."""
+    """The repr of a value in one line of at most `longest` characters; of large arrays and lists the size."""
     if isinstance(value, np.ndarray) and value.size > FEW:
         return f"<{' x '.join(map(str, value.shape))} numbers>"
     if isinstance(value, (dict, list, tuple)) and len(value) > FEW:

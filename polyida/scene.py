@@ -220,7 +220,7 @@ def _places_of(name, part):
 
 
 def kind_of(part):
-    """The name of a part without one, before its number."""
+    """The word for a part's kind, of which its automatic name is made, such as "revolute" or "plate"."""
     if isinstance(part, Joint):
         return part.kind or type(part).__name__.lower()
     if isinstance(part, (ForceElement, Body)):

@@ -231,7 +231,7 @@ class Plate:
         return of_node(self, int(np.argmin(((self.mesh.points - point) ** 2).sum(axis=1))))
 
     def _of_mesh(self, function, *arguments):
-        """Call a function of the mesh; its InputError then names the plate."""
+        """Return `function(*arguments)` of the mesh; the message of its InputError then names the plate."""
         try:
             return function(*arguments)
         except InputError as error:

@@ -168,7 +168,7 @@ class RigidBody(Body):
         return {name: [1.0, (complex(*at) - complex(*self.center)) / self.gyration] for name, at in self.points.items()}
 
     def x_axis(self) -> list[float]:
-        """Weights of the body's x axis, z / s."""
+        """Weights (2,) of the pairs for the body's x axis, a unit vector: z / s."""
         return [0.0, 1.0 / self.gyration]
 
     def rows(self) -> list[Row | Vector]:
@@ -220,7 +220,7 @@ class FieldBody(Body, part=False):
 
     @cached_property
     def operator(self) -> ReferenceOperator:
-        """Reference operator of the plate's element on its mesh."""
+        """ReferenceOperator of the plate: the element's matrices on its mesh."""
         return operator_of(self.plate)
 
     @cached_property
@@ -280,11 +280,11 @@ class FieldBody(Body, part=False):
         return rest
 
     def attachments(self) -> "dict[str, ArrayLike]":
-        """The centre of mass alone; parts use sections, rims and nodes."""
+        """Weights of the named points on the pairs: the centre of mass alone; parts use sections, rims and nodes."""
         return {"center": np.eye(self.shapes().shape[1])[0]}
 
     def x_axis(self) -> np.ndarray:
-        """Weights of the body's x axis, z / s."""
+        """Weights (2,) of the pairs for the body's x axis, a unit vector: z / s."""
         return np.eye(self.shapes().shape[1])[1] / self.gyration
 
 

@@ -119,7 +119,7 @@ class SpringDamper(ForceElement):
 
 
 def rotation(self, x):
-    """The relative rotation of the second direction since the reference configuration, rad."""
+    """Rotation of the second direction relative to the first since the reference configuration, rad, -pi to pi."""
     c, s = self.rest_angle[0], self.rest_angle[1]
     ex, ey = c * x[0, 0] - s * x[0, 1], s * x[0, 0] + c * x[0, 1]
     return np.arctan2(ex * x[1, 1] - ey * x[1, 0], ex * x[1, 0] + ey * x[1, 1])
@@ -222,7 +222,7 @@ def line_force(self, t, x, v):
 
 
 def circle_depth(self, x):
-    """Depth of the first side in the circle about the second."""
+    """Depth, m, of the first point in the circle about the second one; negative outside."""
     wx, wy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1]
     return self.radius - np.sqrt(wx * wx + wy * wy)
 

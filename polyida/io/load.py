@@ -163,7 +163,7 @@ def model_of(stored, drives):
 
 
 def _interpolated(times, samples):
-    """The profile through the values and derivatives (frames, 3) of a run."""
+    """The profile that interpolates the stored values and first derivatives (frames, 3) of a run by cubics."""
     from scipy.interpolate import CubicHermiteSpline
 
     from polyida.profile import Profile, constant

@@ -141,7 +141,7 @@ class FrameStore:
                 self.put_away()
 
     def waiting(self):
-        """The frames that the file does not have yet, one block at most."""
+        """Arrays of the frames that the file does not have yet, at most one block."""
         first = self._away.count - self._first
         return [values[first : self._rows] for values in self._block]
 

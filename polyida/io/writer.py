@@ -290,7 +290,7 @@ class Writer:
 
 
 def _move_new(source, target):
-    """Move a file to a free name, or fail."""
+    """Move a file to a name that is free. Raises FileExistsError if it is not."""
     try:
         os.link(source, target)
         os.unlink(source)

@@ -122,7 +122,7 @@ def c_address(inner, kinds):
 
 
 def own_part(function, boundscheck):
-    """A part made from a user's function, compiled with all passes of numba."""
+    """A part, to be called by compiled code, of a user's function, compiled with all passes of numba."""
     options = {"pipeline_class": compilers.OwnPartCompiler} if compilers else {}
     return numba.njit(**_INNER, boundscheck=boundscheck, **options)(function)
 
@@ -156,7 +156,7 @@ def typed(entry):
     compiled = None
 
     def call(*args):
-        """Call the entry with the types of the first call."""
+        """Call the entry, compiled for the types of the first call, without a search by types."""
         nonlocal compiled
         if compiled is None:
             compiled = bound(entry, *args)

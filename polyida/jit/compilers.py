@@ -40,7 +40,7 @@ class KernelLower(Lower):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class KernelLowering(typed_passes.NativeLowering):
-    """numba's pass, with KernelLower."""
+    """numba's pass that generates LLVM code, with KernelLower in place of its class."""
 
     _name = "kernel_lowering"
     lowering_class = KernelLower
@@ -157,7 +157,7 @@ class _ForLinking:
 
 
 class PartCompiler(_ForLinking, EntryCompiler):
-    """The compiler of parts."""
+    """The compiler of parts: kernels' functions that are linked into callers."""
 
 
 class OwnPartCompiler(_ForLinking, OwnCompiler):

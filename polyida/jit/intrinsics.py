@@ -61,11 +61,11 @@ class Traced:
         return Traced(self.builder, getattr(self.builder, instruction)(*operands, flags=("contract",)))
 
     def __add__(self, other):
-        """The sum; emits `fadd`."""
+        """The sum, element by element; emits `fadd`."""
         return self._emit("fadd", self._both(other))
 
     def __sub__(self, other):
-        """The difference self - other; emits `fsub`."""
+        """The difference self - other, element by element; emits `fsub`."""
         return self._emit("fsub", self._both(other))
 
     def __mul__(self, other):

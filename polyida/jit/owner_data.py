@@ -133,7 +133,7 @@ class OwnData:
 
 @cache
 def _c_function(function, other, mark, source, fields, functions, dimensions, of_complex, helpers):
-    """The address of the C function, compiled once for data of one form."""
+    """Address of the C function that calls `function` with data of an owner, compiled once for each form of data."""
     Own = namedtuple("self", [f"f{k}" for k in range(len(fields) or 1)])
     Own._fields = fields or Own._fields  # namedtuple itself refuses names that begin with an underscore
     names = {f"function{k}": for_numba(one) for k, one in enumerate(functions)} | {"Own": Own, "profile": as_profile}

@@ -38,7 +38,7 @@ class Summand:
         return replace(self, terms=terms, constant=w * self.constant, of_ground=of_ground)
 
     def plus(self, other):
-        """Return the sum with a summand of the same profile."""
+        """Return the sum with another Summand that has the same profile."""
         terms, of_ground = self.terms + other.terms, self.of_ground + other.of_ground
         return replace(self, terms=terms, constant=self.constant + other.constant, of_ground=of_ground)
 
@@ -86,7 +86,7 @@ class Vector:
         return -self + _vector(other)
 
     def __neg__(self) -> "Vector":
-        """The vector times -1."""
+        """The vector times -1, a Vector."""
         return self * -1.0
 
     def __mul__(self, number: float) -> "Vector":
@@ -128,7 +128,7 @@ class Vector:
 
     @property
     def rate(self) -> "Vector":
-        """The derivative in time, for `velocity_rows()` of a joint."""
+        """The derivative in time, a Vector in m/s, for `velocity_rows()` of a joint."""
         if any(s.profile is not None or s.rate for s in self.summands):
             raise InputError("rate: there is no rate of a rate, nor of a vector that a profile turns")
         return Vector(tuple(replace(s, constant=0j, rate=True) for s in self.summands))
@@ -208,7 +208,7 @@ class Row:
         return -self + other
 
     def __neg__(self) -> "Row":
-        """The row times -1."""
+        """The row times -1, a Row."""
         return self * -1.0
 
     def __mul__(self, number: float) -> "Row":

@@ -161,7 +161,7 @@ class Reaction:
         return np.stack([values[f"{axis} {unit}"] for axis, unit in self.components], axis=1)
 
     def _of_b(self, summand):
-        """The terms of a summand that belong to side b."""
+        """The terms of a summand that belong to the body of side b, or to the ground if side b is on it."""
         body = self.joint.b.body
         return summand.of_ground if body is None else [term for term in summand.terms if term[0].body is body]
 

@@ -35,7 +35,7 @@ def sliding(a, b):
 
 
 def welded(a, b):
-    """Rows that make point and direction of b equal to those of a."""
+    """Rows of a weld: x_A - x_B, and d_A - Q d_B, or one angle if a body keeps the length of its direction."""
     return [a.x - b.x, fixed_angle(a, b) if a.turns_only or b.turns_only else a.d - b.d.onto(a.d)]
 
 
@@ -305,7 +305,7 @@ class AngleMotor(Joint):
         return [fixed_angle(self.a, self.b, self.angle, self.offset)]
 
     def keep_drawing(self) -> None:
-        """Store the angle of the drawing as theta0 if theta(0) is not zero."""
+        """Set theta0 to the angle between the sections in the drawing, unless it is given or theta(0) is zero."""
         if self.offset is None and as_profile(self.angle, "AngleMotor")(0.0):
             drawn = self.facing()
             settle(self, a=drawn.a, b=drawn.b, offset=float(np.angle(drawn.b.d.rest / drawn.a.d.rest)))
@@ -485,7 +485,7 @@ class Skate(Joint):
         self.require_directions(self.b)
 
     def velocity_rows(self) -> list[Row | Vector]:
-        """The velocity of the point across the skate's direction, `Q d x x'`."""
+        """The velocity row `Q d x x'`, m/s: the velocity of the point across the skate's direction."""
         return [cross(self.b.d.turned(self.angle), self.b.x.rate).named("across", "N")]
 
     def facing(self) -> Self:

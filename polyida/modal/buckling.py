@@ -246,7 +246,7 @@ def _equilibrium(growing, state):
 
 
 def _branches(model, growing, about, q, lam, count):
-    """The Buckling of a load that grows from an equilibrium."""
+    """The Buckling of a load that grows from an equilibrium q, lam: the `count` smallest factors and their modes."""
     K, B = growing.matrices(q, lam, 0.0)
     system, n = _stable_system(K, B, about.t), len(q)
     slope = (growing.equations(q, lam, SLOPE) - growing.equations(q, lam, -SLOPE)) / (2.0 * SLOPE)

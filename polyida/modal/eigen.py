@@ -74,7 +74,7 @@ class LinearSystem:
         return np.setdiff1d(np.arange(self.model.n), self.model.hidden)
 
     def with_states_held(self):
-        """The system of these coordinates: first-order states do not change."""
+        """The LinearSystem of the coordinates `places` alone: first-order states do not change."""
         at = self.places
         parts = [None if matrix is None else matrix[:, at] for matrix in (self.M, self.C, self.K, self.B)]
         return LinearSystem(self.model, self.state, *[None if part is None else part[at] for part in parts[:3]], parts[3])
@@ -326,7 +326,7 @@ def _rigid(system, count):
 
 
 def _dense_damped(system, count, N, slow):
-    """All roots and shapes, dense, in the complement of N."""
+    """All roots s, 1/s, and shapes (n, roots), dense, in the complement of the columns N."""
     T = system.basis
     if N.shape[1]:
         T = T @ null_space(N.T @ (system.M @ T))

@@ -143,7 +143,7 @@ def labels_of(outputs):
 
 
 def along(outputs, moved, mu):
-    """Changes of all components, (components, k), real or complex."""
+    """Changes of all components of Outputs, (components, k), real or complex, for changes `moved` of q, v and a, and mu of lam."""
     if any(map(np.iscomplexobj, (*moved, mu))):
         real, imaginary = (along(outputs, tuple(map(part, moved)), part(mu)) for part in (np.real, np.imag))
         return real + 1j * imaginary

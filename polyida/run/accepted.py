@@ -69,7 +69,7 @@ class AcceptedStates:
         self.states = iter(states.stretches if self.trusted and isinstance(states, States) else states)
 
     def __iter__(self):
-        """Return the iterator itself."""
+        """Return the iterator itself, as iterators do."""
         return self
 
     def __next__(self):

@@ -182,7 +182,7 @@ class ContactHandler(EventHandler):
         return {"events": np.array([self.sides, self.sizes]), "status": self.status.astype(float), "pieces": self.pieces}
 
     def spread(self, state):
-        """A state of the mode with the multipliers of all rows."""
+        """A State of the mode with the multipliers of all rows, (width,)."""
         return State(state.t, state.q, state.v, state.a, self._all_forces(state), restart=False)
 
     def stretches(self, state, t_end, counts):
@@ -195,7 +195,7 @@ class ContactHandler(EventHandler):
         return super().stretches(replace(state, memory=memory), t_end, counts)
 
     def value(self, event, state):
-        """The function of a row at a state of the mode."""
+        """Value of the function of an event's row at a state of the mode; its status lasts while the sign stays."""
         if self._known[0] is not state:
             values = self._values(Stretch.of(state), self._all_forces(state)[None])[0]
             for k in np.flatnonzero(self.fixed & ~self.held):
@@ -601,7 +601,7 @@ class ContactHandler(EventHandler):
 
 
 def _ahead(state, t):
-    """The State at t, near a state, with its accelerations."""
+    """The State at t, near a state, extrapolated with its constant acceleration."""
     s = t - state.t
     return State(t, state.q + s * state.v + 0.5 * s * s * state.a, state.v + s * state.a, state.a, state.lam, restart=False)
 

@@ -123,7 +123,7 @@ class EventHandler:
         self.of_forces = set()
 
     def _own(self, model):
-        """A user's model, guarded. Raises InputError unless its sizes fit."""
+        """Return a user's model, guarded, with its columns of lam. Raises InputError unless its sizes fit."""
         own, whole = guard(model), self.whole
         if (own.n, own.k) != (whole.n, whole.k) or own.m > self.width:
             sizes = f"n = {whole.n}, k = {whole.k} and m <= {self.width}, of the run and the models named in `then`"
@@ -137,7 +137,7 @@ class EventHandler:
         return replace(self.spread(state), memory=memory, restart=True)
 
     def whole_state(self, state):
-        """A state of the mode with the columns of lam of all rows."""
+        """A State of the mode with the columns of lam of all rows, 0 for rows that do not act."""
         within = state.within
         memory = state.memory | {"events": np.array([self.sides, self.sizes])} if state.restart else {}
         inner = within and (lambda t: (state := within(t)) and self.spread(state))

@@ -45,7 +45,7 @@ class Run:
     """
 
     def __init__(self, model, integrator, plan, store, recorder, counts, begun, until=None, progress=None, handler=None, events=None):
-        """Take the parts of a run; no step is taken yet."""
+        """Take the model, integrator, plan, storage and recorder of a run; begun: the `clock()` at its start. No step is taken."""
         self.model, self.known = model, guard(model)
         self.integrator, self.method = integrator, declared(integrator)
         self.plan, self.store = plan, store

@@ -74,7 +74,7 @@ def _fitting_columns(names, room):
 
 
 def _has_power(axis):
-    """True if a power of ten stands above the axis."""
+    """True if matplotlib writes a common power of ten above the axis."""
     formatter = axis.get_major_formatter()
     formatter.format_ticks(axis.get_majorticklocs())
     return bool(formatter.get_offset())
@@ -169,7 +169,7 @@ def _points_along(segments, step):
 
 
 def _inside(box, points):
-    """How many points (points, 2) lie in a box."""
+    """Number of the points (points, 2) in a box."""
     return np.count_nonzero(np.all((points > box.min) & (points < box.max), axis=1))
 
 

@@ -61,7 +61,7 @@ def drawable(model):
 
 
 def sticks(run, k):
-    """Segments (segments, 2, 2) of the bodies without a mesh in frame k."""
+    """Segments (segments, 2, 2), m, that draw the bodies without a mesh in frame k of a run."""
     return run.model.sticks(np.asarray(run.q[k], float))
 
 

@@ -203,12 +203,12 @@ class Precision(Result):
         return f"{label}: no order in {part} yet, its errors fall with {coarser:.1f} over the coarser steps and {finer:.1f} over the finer ones"
 
     def _error_in(self, part):
-        """The words of a part's error in tables and pictures."""
+        """Words for the error in a part, such as "largest error in q", in tables and pictures."""
         norm = {"end": "error in", "max": "largest error in", "rms": "rms error in"}[self.norm]
         return f"{norm} {self.reference.get('words', {}).get(part, part)}"
 
     def _step(self, row):
-        """Mean step of a run; a user's integrator may count no steps."""
+        """Mean step of a run, s, its end over its number of steps; the given h if the integrator has counted no steps."""
         return row["t"] / row["steps"] if row["steps"] else row["h"]
 
     def _draw(self, axis, part, label, i, x_of):
@@ -260,7 +260,7 @@ class Precision(Result):
             slope_line(axis, order, [max(steps), min(steps)], 0.5 * coarsest, f"order {order}", offset=(3, -3))
 
     def _finish(self, axis, part, xlabel, title, labels):
-        """Logarithmic axes, a grey area below the reference's accuracy, names and legend."""
+        """Make the axes logarithmic, grey the area below the reference's accuracy, and add names and legend."""
         axis.set(xscale="log", yscale="log")
         accuracy, (low, high) = self.known_to[part], axis.get_ylim()
         if accuracy > low:

@@ -57,7 +57,7 @@ class Quantity:
         )
 
     def _steps(self, run):
-        """The times of a run's frames after the start."""
+        """Times of a run's frames after the first one, none beyond the end of the reference."""
         return np.minimum(run.t[1:], self.times[-1])
 
     def size(self, difference):

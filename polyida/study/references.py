@@ -278,7 +278,7 @@ def _by_explicit_at(ivp, level):
 
 
 def _by_bdf_at(ivp, level):
-    """Raises TooStiff if the run would take too many steps."""
+    """(name of the method, {part: value} at t_end) by IDA with the tolerance of a level. Raises TooStiff after too many steps."""
     rtol, limit = BDF_RTOL[level], WorkLimit("IDA", "steps", MAX_BDF_STEPS, ivp.t_end)
     integrator = IDA(rtol=rtol, max_num_steps=2 * MAX_BDF_STEPS)
     return f"IDA (BDF), rtol {rtol:g}", _end_state(ivp, integrator, limit)

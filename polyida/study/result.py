@@ -128,7 +128,7 @@ class Result:
         return latex_table(headed, self.rows, siunitx)
 
     def _paper_heading(self, name, heading):
-        """The heading of a column of a paper, with its unit."""
+        """The heading of a column in a table for a paper, with its unit."""
         return heading
 
     def plot(self, *what: Any, **options: Any) -> Any:
@@ -218,7 +218,7 @@ class Result:
         return finite(json.loads(json.dumps({name: getattr(self, name) for name in names} | {"machine": machine_info()}, default=to_json)))
 
     def _names(self):
-        """The columns of the rows, those of `columns` first."""
+        """Names of all columns that rows have, those of `columns` first."""
         present = list(dict.fromkeys(name for row in self.rows for name in row))
         return [name for name in self.columns if name in present] + [name for name in present if name not in self.columns]
 
@@ -257,7 +257,7 @@ class Result:
 
 
 def without_lists(row):
-    """A row with the size of its lists and dictionaries in their place."""
+    """A copy of a row with the number of their entries in place of lists and dictionaries."""
     return {name: f"{len(value)} values" if isinstance(value, (list, dict)) else value for name, value in row.items()}
 
 

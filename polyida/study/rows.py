@@ -50,7 +50,7 @@ def smallest(numbers):
 
 
 def column_with_failures(rows, name, **values):
-    """A number of all rows with these values; NaN for failed rows."""
+    """The values of a column in all rows with these values in other columns, (rows,); NaN for failed rows."""
     return column([row for row in rows if values.items() <= row.items()], name)
 
 
@@ -67,7 +67,7 @@ def farthest(numbers, target):
 
 
 def distinct(rows, name):
-    """The different values of a column in their order."""
+    """The different values of a column, in the order in which they occur."""
     return list(dict.fromkeys(row[name] for row in rows if name in row))
 
 

@@ -64,7 +64,7 @@ def _typed(spec, argument, text):
 
 
 def _read(kind, text):
-    """The value of a text, None if it is of another type."""
+    """A text as a value of the type `kind`; None if it is no such value."""
     if kind is bool:
         return TRUTHS.get(text.lower())
     try:

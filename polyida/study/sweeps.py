@@ -249,7 +249,7 @@ def _require_executor(function, executor):
 
 
 def _cannot_send(function, error):
-    """The message for a function that cannot be pickled, with the first cause."""
+    """Message for a function that cannot be pickled: its first cause, and advice."""
     while error.__cause__ is not None or error.__context__ is not None:
         error = error.__cause__ or error.__context__
     advice = "write it as a function of a module or of the script, with all it needs in its case"
@@ -257,7 +257,7 @@ def _cannot_send(function, error):
 
 
 def _row_folder(function, folder):
-    """The RowFolder of a sweep with the identity of its code."""
+    """The RowFolder of a sweep, with a fingerprint of the package's and the user's code. Raises InputError without one."""
     if folder is None:
         return RowFolder()
     folder = require_folder("sweep", folder, "folder")

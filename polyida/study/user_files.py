@@ -185,7 +185,7 @@ def choose_integrators(names: Iterable[str]) -> dict[str, IntegratorChoice]:
 
 
 def create_integrators(choices: dict[str, IntegratorChoice], problem: Any, **settings: Any) -> dict[str, Any]:
-    """{label: integrator}, each with those of the settings that it accepts; None: default.
+    """Make {label: integrator} of the choices, each with those of the settings that it accepts; None: default.
 
     An integrator with error control chooses its steps itself. Raises InputError for a setting that no integrator accepts.
     """

@@ -112,7 +112,7 @@ class Symbols:
         self._replaced |= {key: ours for key, ours, _ in self.parameters.values()}
 
     def __getstate__(self):
-        """All but the profiles, which are those of a model."""
+        """Pickle all fields but the profiles, which the model stores."""
         return vars(self) | {"profiles": []}
 
     def rates_of_functions(self):

@@ -46,7 +46,7 @@ def _terms(expression):
 
 
 def _without_squares(sums):
-    """{product: coefficient} of a sum with sin^2 + cos^2 replaced by 1."""
+    """{product: coefficient} of a sum in which `c f sin(a)^2 + c f cos(a)^2` is replaced by `c f`."""
     result = dict(sums)
     for product in sums:
         for factor in sp.Mul.make_args(product):

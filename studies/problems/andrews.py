@@ -270,7 +270,7 @@ ANGLES = TURNS @ Q0  # of the bodies at the start, rad
 
 
 def places():
-    """The pin that each body's axes begin at, at the start, complex, m."""
+    """{name of a pin: its place at the start, complex, m}, of those at which the bodies' axes begin."""
     z, A = np.exp(1j * ANGLES), complex(xa, ya)
     return {"O": 0j, "A": A, "B": complex(xb, yb), "P": rr * z[0], "G": A + zt * z[4], "H": A - 1j * u * z[6]}
 
