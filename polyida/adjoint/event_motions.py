@@ -189,7 +189,10 @@ class _RowFunction:
         return weights
 
     def back(self, state, c):
-        """(c g_q, c g_v, model, its entries for parameters) of the function g at a state."""
+        """(c g_q, c g_v, model, entries) at a state, g the row's gap, rate of slip or force that makes its event.
+
+        model: the whole one, or the mode's if g is a force; entries: its AdjointMultipliers, which give c g_p.
+        """
         t, unit = state.t, np.zeros(self.whole.m)
         unit[self.law.row] = c
         if self.gap:
