@@ -62,7 +62,7 @@ def prepare_mode(links, mode, state, slopes):
     if mode is not None:
         factored, workspace = mode.factor.factored, mode.factor.workspace
         corotated.turn_frames(links, factored, workspace, state.rotation)
-        corotated.points_matrix(links, factored, workspace)
+        corotated.fill_point_compliance(links, factored, workspace)
         put(1.0, slopes, workspace.border.slopes)
         fill_curvature(links, mode.factor, state, workspace.border.curvature)
         workspace.keeps[0] = 0
@@ -150,7 +150,7 @@ def solve_columns(mode, lanes, which):
 def solve_border(links, mode, terms, column):
     """Fill the multipliers of a mode in a column, and add the effect of their forces to dw. False if the border is singular."""
     factored, workspace, dw = mode.factor.factored, mode.factor.workspace, mode.dw[column]
-    if not workspace.spin.shape[0]:
+    if not workspace.point_turn.shape[0]:
         return True
     joints.point_values(links, dw, workspace.moved)
     if not corotated.solve_multipliers(links, factored, workspace, mode.rows[column, MU], mode.multipliers[column, MU]):

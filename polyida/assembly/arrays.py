@@ -11,12 +11,14 @@ from polyida.assembly.reduced_kernels import ReducedArrays
 from polyida.element.operator import Cells, Material
 from polyida.jit import leaf, pack
 
+LAYOUT, CORNERS, GRADIENTS, WEIGHTS, PAIRS, INDPTR, INDICES = range(7)  # columns of Plates.at: starts in the arrays of these names
+
 
 @pack
 class Plates(NamedTuple):
     """The plates and their loads. Nodes of the plates are concatenated; equal meshes share one operator (element.operator.ReferenceOperator)."""
 
-    at: np.ndarray  # (operators + 1, 7) starts in layout, corners, gradients, weights, pairs, indptr, indices
+    at: np.ndarray  # (operators + 1, 7) columns LAYOUT to INDICES: where the entries of each operator start; the last row holds the ends
     layout: np.ndarray
     corners: np.ndarray
     gradients: np.ndarray
@@ -152,9 +154,10 @@ def starts(lists):
 def cells_of(plates, body):
     """The Cells of a plate."""
     operator, node = plates.body_operator[body], plates.body_node[body]
-    p, e = plates.at[operator], plates.at[operator + 1]
-    layout, corners = plates.layout[p[0] : e[0]], plates.corners[p[1] : e[1]]
-    return Cells(layout, corners, plates.gradients[p[2] : e[2]], plates.weights[p[3] : e[3]], node)
+    first, end = plates.at[operator], plates.at[operator + 1]
+    layout, corners = plates.layout[first[LAYOUT] : end[LAYOUT]], plates.corners[first[CORNERS] : end[CORNERS]]
+    gradients, weights = plates.gradients[first[GRADIENTS] : end[GRADIENTS]], plates.weights[first[WEIGHTS] : end[WEIGHTS]]
+    return Cells(layout, corners, gradients, weights, node)
 
 
 @leaf

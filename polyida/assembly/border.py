@@ -1,14 +1,17 @@
 """Sparse solution of the constraint systems of scenes: unknown forces at points of the bodies.
 
-The unknowns x are multipliers and forces on components of points. They cause the forces E x. Each body has a compliance matrix G and moves by
--G E x at its points. The equations measure these displacements by F: `(I_w + F G E) x = right`. The elimination follows the graph of the bodies.
+The unknowns x are multipliers and forces on components of points. They cause the forces E x. Each body has a compliance matrix G and moves
+by -G E x at its points. The equations measure these displacements by F: `(I_w + F G E) x = right`. The elimination follows the graph of the
+bodies.
 
 | unknown | column of E | row of F |
 |---|---|---|
 | w, forces on active components | a unit vector | a row of C, the curvature of the rows of phi and the slopes of force elements |
 | lam, multipliers of phi | a row of Bz = phi_z, and the slope of friction that it presses | the same row of Bz |
 
-I_w is the unit matrix on w. All numbers of E and F are in one array: Bz, 1, C, slopes of friction. Their indices are called slots.
+I_w is the unit matrix on w. All numbers of E and F are in one array, and their indices are called slots:
+
+    slots = [phi_z (entries of row_columns) | 1 | C, 4 for each block of the coupling | slopes of friction]
 """
 
 from typing import NamedTuple
@@ -26,62 +29,67 @@ ACCURATE = 1e-10  # residual of an equation over the sum of the sizes of its ter
 
 @pack
 class Border(NamedTuple):
-    """The pattern of a system.
-
-    active: components with an unknown w. points: of body n from point_start[n] on. block: index at which the matrix of each body begins; it is
-    square, of 2 components for each point. rows, columns: unknowns in F and E of body n, from row_start[n] and column_start[n] on; their
-    entries begin at row_entry and column_entry and have components within the body and slots. into: where the values of each pair of row
-    and column of a body are, from into_start on. slip_row, slip_component: of the slopes of friction, the row that presses and the component.
-    """
+    """The pattern of a system. List k of entries or unknowns reaches from start k to start k + 1."""
 
     elimination: Elimination
-    active: np.ndarray
-    point_start: np.ndarray
-    points: np.ndarray
-    block: np.ndarray
-    row_start: np.ndarray
-    rows: np.ndarray
-    row_entry: np.ndarray
-    row_component: np.ndarray
-    row_slot: np.ndarray
-    column_start: np.ndarray
-    columns: np.ndarray
-    column_entry: np.ndarray
-    column_component: np.ndarray
-    column_slot: np.ndarray
-    into_start: np.ndarray
-    into: np.ndarray
-    slip_row: np.ndarray
-    slip_component: np.ndarray
+    active: np.ndarray  # (w,) components with an unknown w
+    point_start: np.ndarray  # (bodies + 1,) starts in points
+    points: np.ndarray  # numbers of the points of all bodies
+    block: np.ndarray  # (bodies + 1,) where the matrix G of each body starts in `blocks`: square, 2 components for each point
+    row_start: np.ndarray  # (bodies + 1,) starts in rows
+    rows: np.ndarray  # unknowns whose equations have entries of F on a body, of all bodies
+    row_entry: np.ndarray  # (rows + 1,) starts in row_component and row_slot
+    row_component: np.ndarray  # component within the body of each entry of F
+    row_slot: np.ndarray  # slot of each entry of F
+    column_start: np.ndarray  # (bodies + 1,) starts in columns
+    columns: np.ndarray  # unknowns whose forces E act on a body, of all bodies
+    column_entry: np.ndarray  # (columns + 1,) starts in column_component and column_slot
+    column_component: np.ndarray  # component within the body of each entry of E
+    column_slot: np.ndarray  # slot of each entry of E
+    target_start: np.ndarray  # (bodies + 1,) starts in target
+    target: np.ndarray  # index in `matrix` of each pair (row, column) of a body, row by row
+    slip_row: np.ndarray  # (slopes of friction,) row of phi that presses
+    slip_component: np.ndarray  # (slopes of friction,) component of the points on which the force of friction acts
 
 
 @pack
 class BorderWorkspace(NamedTuple):
-    """Values of a system, float or complex.
+    """Values of a system, float or complex."""
 
-    slots: numbers of E and F; slopes, curvature, friction: views of it, Bz, C and slopes of friction. blocks: matrices of the bodies. matrix, values: of the
-    elimination, and its factors. right: right-hand side. x: unknowns. Scratch: row (columns,), responses (components, columns) of one body; left
-    and terms of each equation, its left-hand side and the sum of the sizes of its terms; slip_rows, slopes of the rows of friction.
-    """
+    slots: np.ndarray  # numbers of E and F
+    slopes: np.ndarray  # view of slots: Bz
+    curvature: np.ndarray  # view of slots: C, (blocks of the coupling, 2, 2)
+    friction: np.ndarray  # view of slots: slopes of friction
+    blocks: np.ndarray  # matrices G of the bodies
+    matrix: np.ndarray  # I_w + F G E, in the order of `elimination`
+    values: np.ndarray  # factors of `matrix`; nan if there are none
+    right: np.ndarray  # (unknowns,) right-hand side
+    x: np.ndarray  # (unknowns,)
+    row: np.ndarray  # (columns,) scratch: a row of F G E of a body
+    responses: np.ndarray  # (components, columns) scratch: G E of a body
+    left: np.ndarray  # (unknowns,) scratch: left-hand side of each equation
+    terms: np.ndarray  # (unknowns,) scratch: sum of the sizes of its terms
+    slip_rows: np.ndarray  # slopes of the rows of friction
 
-    slots: np.ndarray
-    slopes: np.ndarray
-    curvature: np.ndarray
-    friction: np.ndarray
-    blocks: np.ndarray
-    matrix: np.ndarray
-    values: np.ndarray
-    right: np.ndarray
-    x: np.ndarray
-    row: np.ndarray
-    responses: np.ndarray
-    left: np.ndarray
-    terms: np.ndarray
-    slip_rows: np.ndarray
+
+class Slots(NamedTuple):
+    """First slots of the kinds of numbers of E and F; phi_z begins at 0."""
+
+    one: int  # of the number 1
+    curvature: int  # of C
+    friction: int  # of the slopes of friction
+
+
+def slots_of(model):
+    """Return the Slots of a scene."""
+    s = model.arrays.links
+    one = len(s.row_columns)
+    curvature = one + 1
+    return Slots(one, curvature, curvature + 4 * len(s.coupling.columns))
 
 
 class Entries:
-    """Entries of E and F of a scene, body after body: {unknown: [(component within the body, slot)]} each.
+    """Entries of E (`forces`) and F (`equations`) of a scene, body after body: {unknown: [(component within the body, slot)]} each.
 
     points: [numbers of the points] of each body with points.
     """
@@ -94,22 +102,23 @@ class Entries:
         for group in self.points:
             local[group] = np.arange(len(group))
         self._bodies, self._local = numbers.tolist(), local.tolist()
-        self.E, self.F = ([{} for _ in self.points] for _ in range(2))
+        self.forces = [{} for _ in self.points]  # columns of E
+        self.equations = [{} for _ in self.points]  # rows of F
 
-    def add(self, matrix, unknown, component, slot):
-        """Add an entry to E or F: an unknown, a component of all points, and the slot of the number."""
-        table = matrix[self._bodies[component // 2]]
+    def add(self, tables, unknown, component, slot):
+        """Add an entry to `self.forces` or `self.equations`: an unknown, a component of all points, and the slot of the number."""
+        table = tables[self._bodies[component // 2]]
         table.setdefault(unknown, []).append((2 * self._local[component // 2] + component % 2, slot))
 
-    def add_active(self, coupling, components, one):
-        """Add the unknowns w of active components: unit vectors in E, from the slot `one`, and rows of C in F, from the slots behind it."""
+    def add_active(self, coupling, components, slots):
+        """Add the unknowns w of active components: unit vectors in E and rows of C in F. slots: Slots."""
         start, other_points = coupling.start.tolist(), coupling.columns.tolist()
         for unknown, component in enumerate(components.tolist()):
             point, axis = divmod(component, 2)
-            self.add(self.E, unknown, component, one)
+            self.add(self.forces, unknown, component, slots.one)
             for block in range(start[point], start[point + 1]):
                 for other in range(2):
-                    self.add(self.F, unknown, 2 * other_points[block] + other, one + 1 + 4 * block + 2 * axis + other)
+                    self.add(self.equations, unknown, 2 * other_points[block] + other, slots.curvature + 4 * block + 2 * axis + other)
 
     def add_rows(self, links, first):
         """Add the multipliers of phi, unknowns from `first` on: rows of phi_z, without entries that are always zero."""
@@ -117,38 +126,52 @@ class Entries:
         for k, turning in enumerate(turning_points(links)):
             for e in range(start[k], start[k + 1]):
                 if not zero_slopes[e] or columns[e] // 2 in turning:
-                    self.add(self.E, first + k, columns[e], e)
-                    self.add(self.F, first + k, columns[e], e)
+                    self.add(self.forces, first + k, columns[e], e)
+                    self.add(self.equations, first + k, columns[e], e)
 
 
-def border(model, active=True, rows=True):
-    """The Border of a scene. active, rows: True for the unknowns w and lam; without w it is that of the masses alone, without friction."""
-    s, entries = model.arrays.links, Entries(model)
+def border(model, point_forces=True, multipliers=True):
+    """Return the Border of a scene.
+
+    point_forces: with the unknowns w. Without them the system is Bz G Bz^T alone (G: M^-1 at the points, or A A^T), without friction.
+    multipliers: with the unknowns lam.
+    """
+    s, entries, slots = model.arrays.links, Entries(model), slots_of(model)
     coupled = np.diff(s.coupling.start) > 0  # points on which a mass, the curvature of a row or a force element can act
     coupled[s.coupling.states] = False  # states are eliminated, see `condense_states`
-    components = np.flatnonzero(np.repeat(coupled & active, 2))
-    first, one = len(components), len(s.row_columns)  # unknown of the first multiplier; slot of the number 1
-    entries.add_active(s.coupling, components, one)
-    if rows:
-        entries.add_rows(s, first)
-    slip_row, slip_component = slip_entries(s.slips) if active and rows else np.zeros((2, 0), np.int64)
+    components = np.flatnonzero(np.repeat(coupled & point_forces, 2))
+    entries.add_active(s.coupling, components, slots)
+    first_multiplier = unknowns = len(components)
+    if multipliers:
+        entries.add_rows(s, first_multiplier)
+        unknowns += len(s.row_constant)
+    slip_row, slip_component = slip_entries(s.slips) if point_forces and multipliers else np.zeros((2, 0), np.int64)
     for e, (row, component) in enumerate(zip(slip_row.tolist(), slip_component.tolist())):
-        entries.add(entries.E, first + row, component, one + 1 + 4 * len(s.coupling.columns) + e)
-    both = list(zip(entries.F, entries.E))
-    order = elimination(first + rows * len(s.row_constant), [sorted({*force, *equation}) for equation, force in both])
-    into = [_grid(order, list(equation), list(force)) for equation, force in both]
+        entries.add(entries.forces, first_multiplier + row, component, slots.friction + e)
+    both = list(zip(entries.equations, entries.forces))
+    order = elimination(unknowns, [sorted({*force, *equation}) for equation, force in both])
+    target = [_grid(order, list(equation), list(force)) for equation, force in both]
+    rows, columns = _listed(entries.equations), _listed(entries.forces)
     return Border(
-        order,
-        components,
-        starts(entries.points),
-        concatenated(entries.points, np.int64),
-        starts([range((2 * len(group)) ** 2) for group in entries.points]),
-        *_listed(entries.F),
-        *_listed(entries.E),
-        starts(into),
-        concatenated(into, np.int64),
-        slip_row,
-        slip_component,
+        elimination=order,
+        active=components,
+        point_start=starts(entries.points),
+        points=concatenated(entries.points, np.int64),
+        block=starts([range((2 * len(group)) ** 2) for group in entries.points]),
+        row_start=rows["start"],
+        rows=rows["unknowns"],
+        row_entry=rows["entry"],
+        row_component=rows["component"],
+        row_slot=rows["slot"],
+        column_start=columns["start"],
+        columns=columns["unknowns"],
+        column_entry=columns["entry"],
+        column_component=columns["component"],
+        column_slot=columns["slot"],
+        target_start=starts(target),
+        target=concatenated(target, np.int64),
+        slip_row=slip_row,
+        slip_component=slip_component,
     )
 
 
@@ -181,11 +204,15 @@ def _grid(order, rows, columns):
 
 
 def _listed(tables):
-    """Starts and unknowns of the tables of all bodies; starts, components and slots of their entries."""
+    """Return {name: array} of the tables {unknown: [(component, slot)]} of all bodies, one list after another.
+
+    start: first unknown of each body; unknowns; entry: first entry of each unknown; component and slot of the entries.
+    """
     each = [entries for table in tables for entries in table.values()]
     flat = np.array([entry for entries in each for entry in entries], np.int64).reshape(-1, 2)
     unknowns = np.array([unknown for table in tables for unknown in table], np.int64)
-    return starts(tables), unknowns, starts(each), flat[:, 0].copy(), flat[:, 1].copy()
+    components, slots = flat.T.copy()
+    return {"start": starts(tables), "unknowns": unknowns, "entry": starts(each), "component": components, "slot": slots}
 
 
 def body_of_points(model):
@@ -195,26 +222,28 @@ def body_of_points(model):
 
 
 def border_workspace(model, pattern, dtype=float):
-    """A BorderWorkspace of a Border."""
-    s, count = model.arrays.links, len(pattern.elimination.diagonal)
-    first, blocks = len(s.row_columns) + 1, 4 * len(s.coupling.columns)
-    slots = np.zeros(first + blocks + len(pattern.slip_row), dtype)
-    slots[first - 1] = 1.0
-    wide, columns = (int(np.diff(each).max(initial=0)) for each in (2 * pattern.point_start, pattern.column_start))
+    """Return a BorderWorkspace of a Border, zeros but for the number 1."""
+    s, first = model.arrays.links, slots_of(model)
+    unknowns = len(pattern.elimination.diagonal)
+    slots = np.zeros(first.friction + len(pattern.slip_row), dtype)
+    slots[first.one] = 1.0
+    components = int(np.diff(2 * pattern.point_start).max(initial=0))  # most of one body
+    columns = int(np.diff(pattern.column_start).max(initial=0))
     return BorderWorkspace(
-        slots,
-        slots[: first - 1],
-        slots[first : first + blocks].reshape(-1, 2, 2),
-        slots[first + blocks :],
-        np.zeros(pattern.block[-1], dtype),
-        *np.zeros((2, pattern.elimination.start[-1]), dtype),
-        np.zeros(count, dtype),
-        np.zeros(count, dtype),
-        np.zeros(columns, dtype),
-        np.zeros((wide, columns), dtype),
-        np.zeros(count, dtype),
-        np.zeros(count),
-        np.zeros(len(s.slips.row_columns), dtype),
+        slots=slots,
+        slopes=slots[: first.one],
+        curvature=slots[first.curvature : first.friction].reshape(-1, 2, 2),
+        friction=slots[first.friction :],
+        blocks=np.zeros(pattern.block[-1], dtype),
+        matrix=np.zeros(pattern.elimination.start[-1], dtype),
+        values=np.zeros(pattern.elimination.start[-1], dtype),
+        right=np.zeros(unknowns, dtype),
+        x=np.zeros(unknowns, dtype),
+        row=np.zeros(columns, dtype),
+        responses=np.zeros((components, columns), dtype),
+        left=np.zeros(unknowns, dtype),
+        terms=np.zeros(unknowns),
+        slip_rows=np.zeros(len(s.slips.row_columns), dtype),
     )
 
 
@@ -226,8 +255,8 @@ def body_blocks(pattern, left, right):
 
 
 @part
-def measure(border, work, moved):
-    """Set the right-hand side to F moved, moved (points, 2) the displacements of the points."""
+def fill_right_side(border, work, moved):
+    """Set work.right to F moved, moved (points, 2)."""
     zero(work.right)
     for n in range(border.block.shape[0] - 1):
         for r in range(border.row_start[n], border.row_start[n + 1]):
@@ -245,7 +274,7 @@ def solve_border(border, work):
 @part
 def solve_in_order(border, work):
     """Solve for work.x by elimination in the fixed order. Returns False if the solution is not accurate."""
-    assemble(border, work)
+    fill_matrix(border, work)
     put(1.0, work.matrix, work.values)
     if not eliminate(border.elimination, work.values, work.x):
         return False
@@ -264,13 +293,14 @@ def solve_border_again(border, work):
 
 
 @part
-def assemble(border, work):
-    """Set work.matrix to I_w + F G E."""
+def fill_matrix(border, work):
+    """Set work.matrix to I_w + F G E, body by body."""
     zero(work.matrix)
     row = work.row
     for n in range(border.block.shape[0] - 1):
-        first, count = border.column_start[n], border.column_start[n + 1] - border.column_start[n]
-        respond(border, work, n, first, count)
+        first = border.column_start[n]
+        count = border.column_start[n + 1] - first
+        fill_responses(border, work, n, first, count)
         for r in range(border.row_start[n], border.row_start[n + 1] if count else border.row_start[n]):
             for j in range(count):
                 row[j] = 0.0
@@ -278,17 +308,18 @@ def assemble(border, work):
                 value, at = work.slots[border.row_slot[e]], border.row_component[e]
                 for j in range(count):
                     row[j] += value * work.responses[at, j]
-            at = border.into_start[n] + (r - border.row_start[n]) * count
+            at = border.target_start[n] + (r - border.row_start[n]) * count
             for j in range(count):
-                work.matrix[border.into[at + j]] += row[j]
+                work.matrix[border.target[at + j]] += row[j]
     for i in range(border.active.shape[0]):
         work.matrix[border.elimination.diagonal[i]] += 1.0
 
 
 @part
-def respond(border, work, body, first, count):
-    """Set work.responses to G E of a body, (components, columns)."""
-    wide, at = 2 * (border.point_start[body + 1] - border.point_start[body]), border.block[body]
+def fill_responses(border, work, body, first, count):
+    """Set work.responses to G E of a body, (components, columns); its `count` columns begin with number `first`."""
+    wide = 2 * (border.point_start[body + 1] - border.point_start[body])
+    at = border.block[body]
     for j in range(count):
         for p in range(wide):
             work.responses[p, j] = 0.0

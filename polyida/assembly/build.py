@@ -7,6 +7,7 @@ import numpy as np
 from polyida.assembly.arrays import Coupling, Links, Plates, Relaxation, SceneArrays, concatenated, starts
 from polyida.assembly.gather_laws import laws_of
 from polyida.assembly.kept_rows import no_slips
+from polyida.assembly.own_laws import FIRST_SIDE, FIRST_STATE
 from polyida.assembly.placement import PlacedBody, PlacedPlate, PlacedStates, PlacedStrains, dead_loads, steady
 from polyida.assembly.reduced_kernels import BLOCKS, FORCE, ReducedArrays, provide
 from polyida.assembly.row_table import Drives, Points, RowTable, given_rows
@@ -185,8 +186,9 @@ def coupling_of(links, laws):
     """The Coupling of links and force elements, Laws."""
     vectors = np.split(links.vector_points, links.vector_start[1:-1])
     products = [(a, b) for e, f in zip(links.product_first, links.product_second) for a in vectors[e] for b in vectors[f]]
-    sides = [laws.points[a:b] for a, b in zip(laws.parts[:-1, 1], laws.parts[1:, 1])]
-    hidden = [group[len(group) - (k + 1) // 2 :] for group, k in zip(sides, np.diff(laws.parts[:, 4]))]
+    sides = [laws.points[a:b] for a, b in zip(laws.parts[:-1, FIRST_SIDE], laws.parts[1:, FIRST_SIDE])]
+    # the last sides of a law stand for its states, two on each
+    state_points = [group[len(group) - (k + 1) // 2 :] for group, k in zip(sides, np.diff(laws.parts[:, FIRST_STATE]))]
     forced = [(a, b) for group in sides for a in group for b in group]
     heavy = [(p, p) for p in np.flatnonzero(links.point_mass)]
     known = {pair for pair in products + forced + heavy if min(pair) >= 0}
@@ -204,7 +206,7 @@ def coupling_of(links, laws):
         products=np.array([number[pair] for pair in products], np.int64),
         laws=np.array([number.get(pair, -1) for pair in forced], np.int64),
         law_start=starts([range(len(group) ** 2) for group in sides]),
-        states=concatenated(hidden, np.int64),
+        states=concatenated(state_points, np.int64),
     )
 
 

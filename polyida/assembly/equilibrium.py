@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.assembly import reduced_kernels
-from polyida.assembly.arrays import cells_of, material_of
+from polyida.assembly.arrays import INDICES, INDPTR, PAIRS, cells_of, material_of
 from polyida.assembly.joints import joint_forces, point_values, slip_forces, spread
 from polyida.assembly.relaxation import add_relaxed_blocks, stiffness_changes
 from polyida.element import kernels, viscous_midpoint
@@ -16,8 +16,9 @@ from polyida.linear.dense import clear
 @leaf
 def on_pattern(plates, operator, values):
     """indptr and indices of the nodes' pattern of an operator, and the values on it."""
-    p, e = plates.at[operator], plates.at[operator + 1]
-    return plates.indptr[p[5] : e[5]], plates.indices[p[6] : e[6]], values[p[6] : e[6]]
+    first, end = plates.at[operator], plates.at[operator + 1]
+    indptr, indices = plates.indptr[first[INDPTR] : end[INDPTR]], plates.indices[first[INDICES] : end[INDICES]]
+    return indptr, indices, values[first[INDICES] : end[INDICES]]
 
 
 @shared
@@ -86,19 +87,19 @@ def tangent_blocks(scene, moved, v, c_m, c_v, c_q, blocks):
     s = scene.plates
     blocks[:] = 0.0
     for b in range(s.body_operator.shape[0]):
-        o, first = s.body_operator[b], s.body_block[b]
-        p, e = s.at[o], s.at[o + 1]
-        own = Blocks(s.pairs[p[4] : e[4]], first, blocks)
+        o, block = s.body_operator[b], s.body_block[b]
+        first, end = s.at[o], s.at[o + 1]
+        own = Blocks(s.pairs[first[PAIRS] : end[PAIRS]], block, blocks)
         if v is not None:
             viscous_midpoint.tangent_viscous(cells_of(s, b), own, material_of(s, b), moved, v, c_q, c_v)
         elif c_q != 0.0:
             kernels.tangent(cells_of(s, b), own, material_of(s, b), moved, c_q)
         mass, stiffness = (c_m + c_v * s.body_drag[b]) * s.body_density[b], c_q * s.body_stabilisation[b]
         if mass != 0.0 or stiffness != 0.0:
-            for k in range(e[6] - p[6]):
-                value = mass * s.mass[p[6] + k] + stiffness * s.stabilisation[p[6] + k]
-                blocks[first + k, 0, 0] += value
-                blocks[first + k, 1, 1] += value
+            for k in range(end[INDICES] - first[INDICES]):
+                value = mass * s.mass[first[INDICES] + k] + stiffness * s.stabilisation[first[INDICES] + k]
+                blocks[block + k, 0, 0] += value
+                blocks[block + k, 1, 1] += value
     reduced_kernels.blocks(scene.reduced, moved, moved if v is None else v, c_m, c_v, c_q, blocks)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from polyida.assembly.arrays import cells_of, concatenated, material_of, starts
+from polyida.assembly.arrays import INDICES, INDPTR, LAYOUT, WEIGHTS, cells_of, concatenated, material_of, starts
 from polyida.assembly.build import operator_arrays
 from polyida.assembly.placement import dead_loads, steady
 from polyida.element import cell_products as kernels
@@ -28,9 +28,11 @@ def scaled(model, factors):
     plates = contributions.scaled(*(concatenated(each, float) for each in zip(*of_bodies))) if of_bodies else contributions.plates
     other = model.altered(OF_FACTORS, bodies=[], _rotated=[(None, None)])
     for body, factor, first, last in zip(model.bodies, of_bodies, plates.at, plates.at[1:]):
-        pattern, operator = slice(first[6], last[6]), body.operator
+        pattern, operator = slice(first[INDICES], last[INDICES]), body.operator
         stabilisation = None if operator.stabilisation is None else plates.stabilisation[pattern]
-        operator = replace(operator, weights=plates.weights[first[3] : last[3]], mass=plates.mass[pattern], stabilisation=stabilisation)
+        operator = replace(
+            operator, weights=plates.weights[first[WEIGHTS] : last[WEIGHTS]], mass=plates.mass[pattern], stabilisation=stabilisation
+        )
         other.bodies.append(body.scaled(operator, factor))
     other.places = model.places | {id(body.plate): body for body in other.bodies}
     loads = dead_loads(other.parts, other.gravity, other.places)
@@ -93,7 +95,7 @@ class CellContributions:
         self.names, self.first = [body.name for body in bodies], starts([o.areas for o in operators])
         self.lane_cells = self._cells([o.lane_cells for o in operators])
         self.weight_cells = self._cells([_cells_of(o, 4, o.layout[:, 1]) for o in operators])
-        entries = concatenated([o.pairs + first for o, first in zip(operators, self.plates.at[:, 6])], np.int32)
+        entries = concatenated([o.pairs + first for o, first in zip(operators, self.plates.at[:, INDICES])], np.int32)
         cells = self._cells([_cells_of(o, 5, o.layout[:, 0] ** 2) for o in operators])
         self.mass = CellSums(entries, cells, concatenated([o.cell_mass for o in operators], float))
         stabilised = [np.zeros(len(o.pairs)) if o.cell_stabilisation is None else o.cell_stabilisation for o in operators]
@@ -188,11 +190,12 @@ def _force_works(plates, q, v, fields, lanes, pairs):
     for frame in range(q.shape[0]):
         u, speed, along = q[frame], v[frame], fields[frame]
         for o in range(plates.body_operator.shape[0]):
-            p, e, n0 = plates.at[o], plates.at[o + 1], plates.body_node[o]
-            own = lanes[:, LANES * p[0] : LANES * e[0]]
+            first, end, node = plates.at[o], plates.at[o + 1], plates.body_node[o]
+            own = lanes[:, LANES * first[LAYOUT] : LANES * end[LAYOUT]]
             kernels.force_work(cells_of(plates, o), material_of(plates, o), u, speed, along, own)
             if plates.body_stabilisation[o] != 0.0:
-                kernels.difference_products(plates.indptr[p[5] : e[5]], plates.indices[p[6] : e[6]], n0, u, along, pairs[:, p[6] : e[6]])
+                indptr, pattern = plates.indptr[first[INDPTR] : end[INDPTR]], slice(first[INDICES], end[INDICES])
+                kernels.difference_products(indptr, plates.indices[pattern], node, u, along, pairs[:, pattern])
 
 
 @entry
@@ -202,7 +205,6 @@ def _mass_works(plates, accelerations, gravity, fields, pairs):
     for c in range(fields.shape[1]):
         left = kernels.by_node(fields, c, still)
         for o in range(plates.body_operator.shape[0]):
-            p, e = plates.at[o], plates.at[o + 1]
-            kernels.products(
-                plates.indptr[p[5] : e[5]], plates.indices[p[6] : e[6]], plates.body_node[o], right, left, pairs[c, p[6] : e[6]]
-            )
+            first, end = plates.at[o], plates.at[o + 1]
+            indptr, pattern = plates.indptr[first[INDPTR] : end[INDPTR]], slice(first[INDICES], end[INDICES])
+            kernels.products(indptr, plates.indices[pattern], plates.body_node[o], right, left, pairs[c, pattern])

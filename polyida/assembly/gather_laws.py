@@ -8,7 +8,19 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.arrays import starts
-from polyida.assembly.own_laws import ENERGIES, STATIC, TIMELESS, Laws
+from polyida.assembly.own_laws import (
+    ENERGIES,
+    FIRST_ALGEBRAIC,
+    FIRST_NUMBER,
+    FIRST_SIDE,
+    FIRST_STATE,
+    FORCES,
+    RATED,
+    RATES,
+    STATIC,
+    TIMELESS,
+    Laws,
+)
 from polyida.assembly.python_functions import Callbacks, Calls, PythonFunctions
 from polyida.body.body import writes
 from polyida.errors import InputError
@@ -20,12 +32,20 @@ from polyida.validation import pairs_of
 NO_NUMBERS = np.zeros((0, 2))
 
 
+class Addresses(NamedTuple):
+    """Addresses of the C functions of a law; 0 without."""
+
+    forces: int = 0
+    energy: int = 0
+    rates: int = 0
+
+
 class PlacedLaw(NamedTuple):
     """A force element, or the elastic force of a body, as `laws_of` gathers them."""
 
     sides: tuple  # Side each; behind them those of its states
     data: OwnData
-    addresses: tuple  # of forces, energy and rates; 0 without
+    addresses: Addresses
     callbacks: Callbacks
     rated: int  # number of its states, algebraic ones included
     units: np.ndarray = NO_NUMBERS  # (states, 2) units and scales of its states
@@ -37,20 +57,20 @@ def _law_of_element(name, element, placed, calls):
     sides, names = sides_of(name, element), element.states + element.algebraic
     shape = len(sides), 2
     arguments = {"t": ("t",), "x": ("b", shape), "v": ("c", shape)}
-    if names:
-        arguments["s"] = ("d", (len(names),))
+    if names or placed:
+        arguments["s"] = ("d", (len(names),))  # of length 0 for controllers without states
     of_energy = {"x": arguments["x"]}
     if placed:
-        arguments["s"] = ("d", (len(names),))
         if placed.controls:
             arguments["u"] = of_energy["u"] = ("e", (len(placed.units) - placed.own,))
         of_energy["s"] = ("d", (placed.own,))
     written = {"forces"} | {key for key in ("energy", "rates") if writes(element, ForceElement, key)}
-    functions = _functions(PythonFunctions(name, element), calls, written, arguments, of_energy, shape)
+    functions = _functions_of_part(PythonFunctions(name, element), calls, written, arguments, of_energy, shape)
     guesses = np.column_stack([element.start(), element.sizes()])[len(element.states) :]
     if placed is None:
-        return PlacedLaw(sides, *functions, len(names), guesses=guesses)
-    return PlacedLaw(sides + placed.sides(), *functions, len(names), np.column_stack([placed.units, placed.scale]), guesses)
+        return PlacedLaw(sides, *functions, rated=len(names), guesses=guesses)
+    units = np.column_stack([placed.units, placed.scale])
+    return PlacedLaw(sides + placed.sides(), *functions, rated=len(names), units=units, guesses=guesses)
 
 
 def _law_of_body(placed, calls):
@@ -58,16 +78,15 @@ def _law_of_body(placed, calls):
     count = len(placed.rest)
     sides = [Side(placed.user.point_of(f"z_{k}", np.eye(count)[k]), "point", rest) for k, rest in enumerate(pairs_of(placed.rest))]
     functions, arguments = PythonFunctions(placed.name, placed.body), {"z": ("b", (count,), True)}
-    return PlacedLaw(sides, *_functions(functions, calls, {"elastic", "energy"}, arguments, arguments, (count,)), 0)
+    return PlacedLaw(sides, *_functions_of_part(functions, calls, {"elastic", "energy"}, arguments, arguments, (count,)), rated=0)
 
 
 def laws_of(elements, states, elastic, points, drives, size):
-    """(the Laws, [Callbacks of each]) of {name: force element} and of PlacedBody with an elastic force.
+    """Return (Laws, [Callbacks of each law]) of the force elements {name: element} and of the PlacedBody with elastic forces.
 
-    states: {name: PlacedStates} of the elements that have states.
-
-    Sides of elements and coordinates of bodies become points. Profiles of elements become drives in any case, so that steps end at their
-    kinks. Raises InputError, naming the part, for a function that numba does not compile.
+    states: {name: PlacedStates} of the elements that have states. Sides of elements and coordinates of bodies become points. Profiles of
+    elements become drives in any case, so that steps end at their kinks. Raises InputError, naming the part, for a function that numba does
+    not compile.
     """
     for name, element in elements.items():
         for profile in profiles_of(element):
@@ -76,23 +95,27 @@ def laws_of(elements, states, elastic, points, drives, size):
     laws = [_law_of_element(name, element, states.get(name), calls) for name, element in elements.items()]
     laws += [_law_of_body(placed, calls) for placed in elastic]
     numbers = [np.zeros(1), *(law.data.words for law in laws)]  # the time comes first
-    first, each = starts(numbers)[1:], [side for law in laws for side in law.sides]
+    first = starts(numbers)[1:]
     driven = [(begin + k, drives.add(profile, "")) for begin, law in zip(first, laws) for k, profile in law.data.profiles]
-    forces, energies, rates = (np.array([law.addresses[k] for law in laws], np.int64) for k in range(3))
+    sides = [side for law in laws for side in law.sides]
     units, guesses = [law.units for law in laws], [law.guesses for law in laws]
-    behind, rated = np.zeros(1, np.int64), [law.rated for law in laws]
-    of_parts = [
-        np.append(forces, behind), starts([law.sides for law in laws]), first, np.append(rates, behind), starts(units), [*rated, 0], starts(guesses),
-    ]  # fmt: skip
+    parts = np.zeros((len(laws) + 1, FIRST_ALGEBRAIC + 1), np.int64)  # the last row holds the ends of the columns FIRST_...
+    parts[:-1, FORCES] = [law.addresses.forces for law in laws]
+    parts[:, FIRST_SIDE] = starts([law.sides for law in laws])
+    parts[:, FIRST_NUMBER] = first
+    parts[:-1, RATES] = [law.addresses.rates for law in laws]
+    parts[:, FIRST_STATE] = starts(units)
+    parts[:-1, RATED] = [law.rated for law in laws]
+    parts[:, FIRST_ALGEBRAIC] = starts(guesses)
     result = Laws(
-        parts=np.stack(of_parts, axis=1),
+        parts=parts,
         states=np.concatenate([NO_NUMBERS, *units]),
         guesses=np.concatenate([NO_NUMBERS, *guesses]),
-        points=np.array([-1 if side.at is None else points.add(side.at, side.part) for side in each], np.int64),
-        rest=np.array([side.rest for side in each], float).reshape(-1, 2),
-        sizes=np.array([side.size(size) for side in each], float),
-        energies=energies,
-        slopes=np.array([slope_of(law.callbacks) for law in laws], np.int64),
+        points=np.array([-1 if side.at is None else points.add(side.at, side.part) for side in sides], np.int64),
+        rest=np.array([side.rest for side in sides], float).reshape(-1, 2),
+        sizes=np.array([side.size(size) for side in sides], float),
+        energies=np.array([law.addresses.energy for law in laws], np.int64),
+        slopes=np.array([energy_slope_of(law.callbacks) for law in laws], np.int64),
         elements=len(elements),
         numbers=np.concatenate(numbers),
         driven=np.array(driven, np.int64).reshape(-1, 2),
@@ -101,27 +124,37 @@ def laws_of(elements, states, elastic, points, drives, size):
     return result, [law.callbacks for law in laws]
 
 
-def _functions(python, calls, written, arguments, of_energy, shape):
-    """(OwnData, (addresses of forces, energy and rates, 0 without), Callbacks) of a part: compiled functions, and in Python those beside them.
+def _functions_of_part(python, calls, written, arguments, of_energy, shape):
+    """Return (OwnData, Addresses, Callbacks) of a part. Functions that numba compiles get a C function, the others a callback into Python.
 
-    written: names of the functions that the part writes.
+    python: PythonFunctions of the part. written: names of the functions that it writes. arguments, of_energy: arguments of its functions,
+    and of its energy, {name: (its place, its shape)} as of `OwnData.c_function`. shape: of its forces.
     """
-    part = python.part
-    functions = {name: function for name, function in part.compiled_functions().items() if name in written}
-    data, elastic = OwnData(part, functions.values()), "elastic" in written
-    forms = {"rates": (arguments, arguments["s"][1])} if "s" in arguments else {}
-    forms |= {"elastic": (arguments, shape, -1.0, True), "forces": (arguments, shape), "energy": (of_energy, ())}
+    functions = {name: function for name, function in python.part.compiled_functions().items() if name in written}
+    data = OwnData(python.part, functions.values())
+    options = {"forces": {"arguments": arguments, "shape": shape}, "energy": {"arguments": of_energy, "shape": ()}}
+    # the force on the coordinates is minus the elastic force
+    options["elastic"] = {"arguments": arguments, "shape": shape, "factor": -1.0, "of_complex": True}
+    if "s" in arguments:
+        _, shape_of_states = arguments["s"]
+        options["rates"] = {"arguments": arguments, "shape": shape_of_states}
     try:
-        compiled = {name: data.c_function(function, *forms[name]) for name, function in functions.items()}
+        addresses = {name: data.c_function(function, **options[name]) for name, function in functions.items()}
     except InputError as error:
         raise InputError(f"{python.name}: {error}") from None
     callbacks = Callbacks(python, calls, arguments, of_energy, shape, frozenset(written - {*functions}))
-    addresses = compiled | callbacks.addresses
-    return data, tuple(addresses.get(name, 0) for name in ("elastic" if elastic else "forces", "energy", "rates")), callbacks
+    addresses |= callbacks.addresses
+    if "elastic" in written:
+        addresses["forces"] = addresses.pop("elastic", 0)
+    return data, Addresses(**addresses), callbacks
 
 
-def slope_of(callbacks):
-    """From what the discrete gradient of a law takes the slope of its energy: STATIC, TIMELESS or ENERGIES (own_laws.py)."""
+def energy_slope_of(callbacks):
+    """Return from what the discrete gradient of a law takes the slope of its energy.
+
+    ENERGIES if static forces are not minus this slope: the element `works`, or its forces in Python depend on states. TIMELESS for other
+    forces in Python, which may depend on time, and STATIC for compiled ones.
+    """
     part, in_python = callbacks.functions.part, "forces" in callbacks.addresses
     if isinstance(part, ForceElement) and (part.works or in_python and "s" in callbacks.arguments):
         return ENERGIES
@@ -129,9 +162,10 @@ def slope_of(callbacks):
 
 
 def with_callbacks(laws, callbacks):
-    """The laws with the functions of other Callbacks [of each law]."""
+    """Return a copy of the laws that calls the functions of other callbacks, [Callbacks of each law]."""
     parts, energies = laws.parts.copy(), laws.energies.copy()
     for k, addresses in enumerate(one.addresses for one in callbacks):
-        parts[k, 0] = addresses.get("forces", addresses.get("elastic", parts[k, 0]))
-        parts[k, 3], energies[k] = addresses.get("rates", parts[k, 3]), addresses.get("energy", energies[k])
+        parts[k, FORCES] = addresses.get("forces", addresses.get("elastic", parts[k, FORCES]))
+        parts[k, RATES] = addresses.get("rates", parts[k, RATES])
+        energies[k] = addresses.get("energy", energies[k])
     return laws._replace(parts=parts, energies=energies)

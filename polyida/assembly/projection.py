@@ -31,7 +31,7 @@ def constraint_projection(model):
     """The ConstraintProjection of a scene."""
     points, m = model.n_points, model.m
     rate, bias, vz, forces = map(np.empty, (m, m, (points, 2), (points, 2)))
-    pattern, (columns, place, blocks) = model.once(border, of_shape=True, active=False), model.once(point_columns)
+    pattern, (columns, place, blocks) = model.once(border, of_shape=True, point_forces=False), model.once(point_columns)
     numbers = border_workspace(model, pattern)
     numbers.blocks[:] = blocks
     return ConstraintProjection(columns, place, pattern, numbers, numbers.x, rate, bias, numbers.slopes, vz, forces)
@@ -41,7 +41,7 @@ def point_columns(model):
     """(columns and place of ConstraintProjection, `A M^-1 A^T` by bodies). One solve finds one column of each body."""
     from scipy.sparse import csc_array
 
-    pattern, weights, bodies = model.once(border, of_shape=True, active=False), model.point_weights, body_of_points(model)
+    pattern, weights, bodies = model.once(border, of_shape=True, point_forces=False), model.point_weights, body_of_points(model)
     local = np.empty(model.n_points, np.int64)
     for first, end in zip(pattern.point_start, pattern.point_start[1:]):
         local[pattern.points[first:end]] = np.arange(end - first)

@@ -38,7 +38,7 @@ class RateMultipliers(NamedTuple):
 
 def rate_multipliers(model):
     """The RateMultipliers of a scene."""
-    pattern, (start, pairs, mass) = model.once(border, of_shape=True, active=False), model.once(_point_masses)
+    pattern, (start, pairs, mass) = model.once(border, of_shape=True, point_forces=False), model.once(_point_masses)
     workspace = border_workspace(model, pattern)
     workspace.blocks[:] = model.once(_overlaps, of_shape=True)
     return RateMultipliers(pattern, workspace, np.zeros_like(workspace.slopes), start, pairs, mass)
@@ -47,7 +47,7 @@ def rate_multipliers(model):
 def _overlaps(model):
     """The blocks A A^T of the bodies."""
     weights = model.point_weights
-    return body_blocks(model.once(border, of_shape=True, active=False), weights, weights.conj().T.tocsc())
+    return body_blocks(model.once(border, of_shape=True, point_forces=False), weights, weights.conj().T.tocsc())
 
 
 def _point_masses(model):
@@ -136,7 +136,7 @@ def add_rate_forces(links, rates, slowing, work, factor, mu, residual):
             residual[i, 0] += factor * (a * px - b * py)
             residual[i, 1] += factor * (a * py + b * px)
         if slowing.shape[0]:
-            co, si = work.spin[f, 0], work.spin[f, 1]
+            co, si = work.point_turn[f, 0], work.point_turn[f, 1]
             p, q = co * px + si * py, co * py - si * px
             for e in range(rates.start[f], rates.start[f + 1]):
                 i = rates.pairs[e]
@@ -160,5 +160,8 @@ def rate_values(links, rates, slowing, work, factor, dw, values):
                 qx += slowing[e, 0, 0] * gx + slowing[e, 1, 0] * gy
                 qy += slowing[e, 0, 1] * gx + slowing[e, 1, 1] * gy
         if slowing.shape[0]:
-            px, py = px + work.spin[f, 0] * qx - work.spin[f, 1] * qy, py + work.spin[f, 1] * qx + work.spin[f, 0] * qy
+            px, py = (
+                px + work.point_turn[f, 0] * qx - work.point_turn[f, 1] * qy,
+                py + work.point_turn[f, 1] * qx + work.point_turn[f, 0] * qy,
+            )
         values[f, 0], values[f, 1] = px, py

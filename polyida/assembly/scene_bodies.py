@@ -7,7 +7,7 @@ import numpy as np
 
 from polyida.assembly.arrays import concatenated
 from polyida.assembly.placement import PlacedPlate
-from polyida.assembly.relaxation import fields_at_points, viscous_strain_at_points
+from polyida.assembly.relaxation_slopes import fields_at_points, viscous_strain_at_points
 from polyida.assembly.scene_constraints import Constraints
 from polyida.body.body import points_of, sticks_between
 from polyida.element import kernels

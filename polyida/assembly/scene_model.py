@@ -24,7 +24,7 @@ from polyida.assembly.powers import Powers
 from polyida.assembly.projection import MassSystem, point_columns
 from polyida.assembly.redundant import Redundant
 from polyida.assembly.relaxation import add_relaxation, relaxation_energies, stiffness_changes
-from polyida.assembly.relaxation import slope_entries as relaxation_entries
+from polyida.assembly.relaxation_slopes import slope_entries as relaxation_entries
 from polyida.assembly.row_table import CLOSED
 from polyida.assembly.scene_bodies import SceneBodies, deepest
 from polyida.assembly.scene_step_matrix import SceneStepMatrix

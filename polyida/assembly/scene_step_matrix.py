@@ -6,7 +6,7 @@ from polyida.assembly.border import border, border_workspace
 from polyida.assembly.corotated import columns_together, condense_states, corotated, solve, solve_workspace
 from polyida.assembly.equilibrium import combined, step_blocks, symmetric_parts
 from polyida.assembly.own_laws import add_own_curvature
-from polyida.assembly.relaxation import eliminate, recover
+from polyida.assembly.strain_elimination import eliminate, recover
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import StepMatrix
 
@@ -40,11 +40,11 @@ class SceneStepMatrix(StepMatrix):
         self.workspace = self.workspace if self.corotated is before else solve_workspace(model, self.corotated)
         if model.strains:
             self.workspace.elimination.rates[:] = (c_m / c_v, c_v) if c_v else np.inf
-        if len(self.workspace.own):
-            coupling, self.workspace.own[...] = model.arrays.links.coupling, 0.0
-            add_own_curvature(model.laws, coupling, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.workspace.own)
+        if len(self.workspace.element_slopes):
+            coupling, self.workspace.element_slopes[...] = model.arrays.links.coupling, 0.0
+            add_own_curvature(model.laws, coupling, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.workspace.element_slopes)
             model.raise_error()
-            condense_states(coupling, self.corotated, self.workspace.own)
+            condense_states(coupling, self.corotated, self.workspace.element_slopes)
 
     def beside(self, c_m, c_v, change):
         """The matrix with other c_m and c_v. C and M are those of zero velocity, not those of `change`."""
@@ -58,10 +58,12 @@ class SceneStepMatrix(StepMatrix):
 
     def solve(self, q, b, transposed=False):
         """S^-1 b, or S^-T b, b (n,) or (n, k), in the frame of q; only users' forces are not symmetric. Raises SingularSystem."""
-        free, own = self.corotated._replace(border=self.model.once(border, of_shape=True, rows=False)), self.workspace.own
+        free, own = self.corotated._replace(border=self.model.once(border, of_shape=True, multipliers=False)), self.workspace.element_slopes
         if transposed and len(own):
             own = np.ascontiguousarray(own[self.model.arrays.links.coupling.mirror].transpose(0, 2, 1))
-        workspace = self.workspace._replace(own=own, border=border_workspace(self.model, free.border, self.workspace.point_forces.dtype))
+        workspace = self.workspace._replace(
+            element_slopes=own, border=border_workspace(self.model, free.border, self.workspace.point_forces.dtype)
+        )
         return self._solved(free, workspace, *self.at, q, -b, np.zeros((0, *b.shape[1:])))[0]
 
     def saddle(self, t, q, lam, r, phi):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from polyida.assembly import equilibrium
+from polyida.assembly.arrays import INDICES
 from polyida.assembly.build import reduced_arrays
 from polyida.assembly.factors import CellContributions
 from polyida.element import kernels as element
@@ -286,7 +287,7 @@ def _stabilised(model, number, u, factor):
         return 0.0
     shares = model.once(CellContributions, of_shape=True)
     rows, squares = np.repeat(np.arange(operator.n_nodes), np.diff(operator.indptr)), np.zeros(len(shares.plates.stabilisation))
-    apart = squares[slice(*shares.plates.at[number : number + 2, 6])]
+    apart = squares[slice(*shares.plates.at[number : number + 2, INDICES])]
     for one, f in zip(u, factor):
         apart += f * np.sum((one[rows] - one[operator.indices]) ** 2, axis=1)
     return -0.25 * scale * shares.by_plate(shares.stabilisation.slopes(squares, shares.first[-1]))[model.bodies[number].name]

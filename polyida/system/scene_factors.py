@@ -12,7 +12,7 @@ from numba import carray
 from polyida.assembly import corotated, joints, reduced_kernels
 from polyida.assembly.equilibrium import symmetric_parts
 from polyida.assembly.rate_multipliers import add_rate_forces, factor_rates, slowing, solve_rates, subtract_rates
-from polyida.assembly.relaxation import eliminate, recover
+from polyida.assembly.strain_elimination import eliminate, recover
 from polyida.errors import DONE, SINGULAR
 from polyida.jit import entry, pack, part, shared
 from polyida.jit.intrinsics import pointer

@@ -18,13 +18,13 @@ from numba import carray
 from polyida import system as table
 from polyida.assembly import corotated, joints, reduced_kernels
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly.condensation import ADD_CONDENSED, BEGIN_STRAINS, END_STRAINS, WORKSPACE, Condensation
+from polyida.assembly.condensation import ADD_FORCE_OF_REDUCED_PLATES, BEGIN_STRAINS, END_STRAINS, WORKSPACE, Condensation
 from polyida.assembly.increments import Moves, take_step
 from polyida.assembly.optional import DAMPING, LAW_DAMPING, LAW_FORCES, LAW_SLOPES, PARTS, RELAXING, RENEW
 from polyida.assembly.projection import ConstraintProjection, constrain, velocity_rate
 from polyida.assembly.projection import project as project_rows
 from polyida.assembly.rate_multipliers import RateMultipliers
-from polyida.assembly.relaxation import eliminate, recover
+from polyida.assembly.strain_elimination import eliminate, recover
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, SINGULAR
 from polyida.jit import fast, pack, part, served
 from polyida.jit.intrinsics import call, complex_pointer, pointer
@@ -169,7 +169,7 @@ def residual(work, instant, moved, v, a, lam, residual, phi):
         return HALF_TURN
     status = add_forces(work, drives, moved, v, residual)
     if work.condensed.calls[WORKSPACE] != 0:
-        call(work.condensed.calls[ADD_CONDENSED], (work.condensed.calls[WORKSPACE], moved, residual))
+        call(work.condensed.calls[ADD_FORCE_OF_REDUCED_PLATES], (work.condensed.calls[WORKSPACE], moved, residual))
     if work.keeps_middle and k == work.rotation.shape[0] // 2:
         copy_matrix(moved[: work.u.shape[0]], work.u)
         joints.point_values(work.scene.links, v, work.vz)
@@ -253,7 +253,7 @@ def renew_slopes(work, drives, dz, vz):
 def take_new_slopes(work, drives, dz, vz):
     """`renew_slopes` by addresses, of scenes with force elements and plates; without plates, a solve costs less than the slopes."""
     factor, optional, links = work.real, work.optional, work.scene.links
-    own, workspace = factor.workspace.own, factor.workspace
+    own, workspace = factor.workspace.element_slopes, factor.workspace
     own[:] = 0.0
     call(optional[LAW_SLOPES], (optional[PARTS], drives, dz, vz, factor.c[C_V:], own))
     corotated.condense_states(links.coupling, factor.factored, own)
