@@ -41,7 +41,10 @@ class SceneEnergies:
         return result if np.isfinite(result).all() else None
 
     def strain_energy(self, q, v=None, energies=None):
-        """Elastic energy of all bodies, J; of viscoelastic plates with the states in v, which are zero by default. energies: element_energies."""
+        """Elastic energy of all bodies, J; of viscoelastic plates with the states in v, which are zero by default.
+
+        energies: those of `element_energies`, if they are known.
+        """
         energies = self.element_energies(q) if energies is None else energies
         energy = compiled.strain_energy(self.arrays, self._nodal(q)) + sum(e for own, e in zip(self.own_forces, energies) if own.strain)
         if self.strains:

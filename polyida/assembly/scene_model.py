@@ -60,7 +60,10 @@ class SceneModel(ScaledScene, SceneEnergies, SceneModes):
     )
 
     def __init__(self, parts, gravity, redundant="refuse", without_strains=False, late=None):
-        """Place the parts {name: part} of a scene. redundant, without_strains: as for Scene.build. late: names of parts that only events add."""
+        """Place the parts {name: part} of a scene.
+
+        redundant, without_strains: as for Scene.build. late: names of parts that only events add.
+        """
         self.parts = dict(parts)
         self.treats_redundant = redundant
         self.without_strains = without_strains
@@ -77,7 +80,7 @@ class SceneModel(ScaledScene, SceneEnergies, SceneModes):
             self._leave_out_redundant(0.0, np.zeros(self.n))
 
     def _place(self):
-        """Place the bodies and states of the parts: number their coordinates, of plates, of bodies of few coordinates, of states, of strains."""
+        """Place the bodies and states of the parts, and number their coordinates: of plates, of bodies of few coordinates, states, strains."""
         placed_bodies = place_bodies(self.parts)
         self.bodies = [placed for placed in placed_bodies if placed.is_full]
         self.reduced_bodies = [placed for placed in placed_bodies if not placed.is_full]

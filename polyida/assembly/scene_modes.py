@@ -35,8 +35,9 @@ class SceneModes(SceneBodies):
     def mode(self, absent, since):
         """The model of the same coordinates without the parts named in `absent`, of a model that has the rows of all parts.
 
-        Its `columns` are the numbers of its rows of phi among all. since: {name: (1 + n,), t and q} of joints that were added there; their rows
-        take from this position what other joints take from the reference configuration. Rows that depend on others at the last one are left out.
+        Its `columns` are the numbers of its rows of phi among all. since: {name: (1 + n,), t and q} of joints that were added there. The rows
+        of these joints take from this position what other joints take from the reference configuration. Rows that depend on others at the
+        last position are left out.
         """
         key = absent, tuple((name, at.tobytes()) for name, at in since.items())
         if not (absent or since or self.treats_redundant == "least-norm"):
@@ -122,7 +123,10 @@ class SceneModes(SceneBodies):
         return {name: self.parts[name].facing() for name in self.late or () if isinstance(self.parts[name], Joint)}
 
     def _leave_out_redundant(self, t, q, held=NONE, left_out=()):
-        """Leave out rows that depend on others at (t, q), besides those with the numbers `left_out`. Returns the numbers of those that stay."""
+        """Leave out rows that depend on others at (t, q), besides those with the numbers `left_out`.
+
+        Returns the numbers of those that stay.
+        """
         redundant, columns = Redundant(self.altered(), t, q), np.setdiff1d(np.arange(self.m + len(left_out)), left_out)
         if redundant.labels or self.treats_redundant == "least-norm":
             self.redundant = redundant

@@ -204,29 +204,30 @@ def pressing(model, laws):
 class Slipping:
     """Mixed into a model in which rows of friction slip: their forces follow from the multipliers of the rows that press.
 
-    Friction of slip k is `f_k = s_k (c_k + mu_k |lam_on,k|)`, s_k the sign of the slip rate. On a contact it is `s_k (c_k - mu_k lam_on,k)`,
+    Friction of slip i of k is `f_i = s_i (c_i + mu_i |lam_on,i|)`, s_i the sign of the slip rate. On a contact it is `s_i (c_i - mu_i lam_on,i)`,
     which is smooth where the contact begins to pull, so that its end can be located. The multipliers of the equations are
     `lam = lam_0 + Y f`, lam_0 those without friction, so that f solves `f - s mu |lam_0 + Y f| = s c`. The solution is unique while the
     determinant of `D = I - s mu (d|lam_on|/dlam) Y` is positive.
-
-    origin: the model with all rows, of which `columns` are equations. slips: (RowLaw, sign of its rate) of each of the k slips. on_contact (k,):
-    True if a contact presses. slipping_rows (k,): numbers of the rows that slip. signed_constant (k,): s c. signed_mu (k,): s mu. presses (rows
-    of origin, k): 1 for the rows that press a slip. last_masses: the last SlippingMasses, or None.
     """
 
     def use_slips(self, origin, slips):
         """Set the model of all rows and its slips, and the numbers of their laws that forces need."""
-        self.origin = origin
-        self.slips = slips
+        self.origin = origin  # the model with all rows, of which `columns` are equations
+        self.slips = slips  # [(RowLaw, sign of its rate)]
         contacts = [law.row for law in origin.row_laws if law.is_contact]
+        # (k,): True if a contact presses
         self.on_contact = [len(law.on) == 1 and law.on[0] in contacts for law, _ in slips]
-        self.slipping_rows = [law.row for law, _ in slips]
+        self.slipping_rows = [law.row for law, _ in slips]  # (k,), numbers among the rows of origin
+        # s c and s mu, (k,) each
         self.signed_constant, self.signed_mu = np.array([(sign * law.constant, sign * law.mu) for law, sign in slips]).T
-        self.presses = pressing(origin, [law for law, _ in slips])
-        self.last_masses = None  # asked for several times at one position
+        self.presses = pressing(origin, [law for law, _ in slips])  # (rows of origin, k), 1 for the rows that press a slip
+        self.last_masses = None  # the last SlippingMasses: several are asked for at one position
 
     def pressures(self, lam, presses):
-        """(|lam_on| (k,) of the slips, its slopes by lam (k, m)) at multipliers, (m,); those of a contact have signs. presses: as of `pressing`."""
+        """(|lam_on| (k,) of the slips, its slopes by lam (k, m)) at multipliers, (m,); those of a contact have signs.
+
+        presses (m, k): 1 for the rows that press a slip, as of `pressing`.
+        """
         sizes = np.where(self.on_contact, 1.0, np.sqrt(lam**2 @ presses))
         shares = np.where(self.on_contact, -1.0, lam[:, None] / np.where(sizes > 0.0, sizes, 1.0)) * presses
         return np.where(self.on_contact, -(lam @ presses), sizes), shares.T
@@ -266,7 +267,7 @@ class Slipping:
         return min([least, *self._shares(self._consistent(state, masses.system), lam)])
 
     def contraction(self, t, q):
-        """Return max_k |mu_k| sum_j |Y_on(k),j|, the largest change of friction that a unit change of friction causes through what presses.
+        """Return max_i |mu_i| sum_j |Y_on(i),j|, the largest change of friction that a unit change of friction causes through what presses.
 
         Below 1 the force is unique for any direction of lam.
         """

@@ -44,7 +44,10 @@ def evaluate(function, data, t, places, v, values, outputs, rates):
 
 @part
 def relative_size(change, values, first, sizes):
-    """Return max |change_i| sizes_i / (sizes_i + |s_i|); change (count,), in sizes; s: the algebraic states, of `values` from number `first` on."""
+    """Return max |change_i| sizes_i / (sizes_i + |s_i|).
+
+    change (count,): in sizes. s: the algebraic states, of `values` from number `first` on.
+    """
     size = 0.0
     for i in range(change.shape[0]):
         size = max(size, abs(change[i]) * sizes[i] / (sizes[i] + abs(values[first + i])))
@@ -71,7 +74,10 @@ def fill_slope(asked, values, first, sizes, rates, behind, slope):
 
 @part
 def factor_rows(slope, residual, rows, pivots, change):
-    """Factor the slope, its rows divided by their largest entries `rows`, and set change = -slope^-1 residual. Returns False if it is singular."""
+    """Factor the slope, its rows divided by their largest entries `rows`, and set change = -slope^-1 residual.
+
+    Returns False if the slope is singular.
+    """
     for i in range(residual.shape[0]):
         rows[i] = 0.0
         for j in range(residual.shape[0]):
@@ -145,7 +151,10 @@ def fill_algebraic(function, data, t, places, v, outputs, values, first, sizes, 
 
 @part
 def with_algebraic(function, data, t, q, v, states, guess, sizes):
-    """Return the states (k,) of an own model with the algebraic ones behind them, (total,); these are nan without a solution. guess: where they begin."""
+    """Return the states (k,) of an own model with the algebraic ones behind them, (total,); these are nan without a solution.
+
+    guess (total - k,): where Newton's method begins.
+    """
     k, s = states.shape[0], np.empty(states.shape[0] + guess.shape[0])
     for i in range(s.shape[0]):
         s[i] = states[i] if i < k else guess[i - k]
@@ -165,7 +174,10 @@ def states_at(numbers, sizes):
 
 @part
 def fill_states(out, mass, a, rates, factors):
-    """Fill out (k,), the rows of states in r: `mass a - rates factors`, factors = mass over sizes; without `mass a` in forces, where mass is 0."""
+    """Fill out (k,), the rows of states in r: `mass a - rates factors`, factors = mass over sizes.
+
+    mass is 0 for the force, which is without `mass a`.
+    """
     for i in range(out.shape[0]):
         out[i] = -rates[i] * factors[i]
         if mass != 0.0:
@@ -297,7 +309,10 @@ class OwnStates:
         return function(*self._cut(cuts, at))
 
     def _forces(self, function, cuts, is_residual, *at):
-        """The user's force or residual, and behind it the rows of states: `-mass rates/sizes`, of the residual `mass (a - rates/sizes)`, (n + k,)."""
+        """The user's force or residual, and behind it the rows of states, (n + k,).
+
+        These are `-mass rates/sizes`, of the residual `mass (a - rates/sizes)`.
+        """
         given = self._cut(cuts, at)
         x = self.states(*at[:3])
         result = function(*given, x)

@@ -181,8 +181,8 @@ def make_reference(ivp, smallest_errors=lambda values: {}, progress=lambda text:
     progress : function
         progress(text) is told what begins.
     others : sequence of functions, optional
-        Methods beside Radau IIA of order 5 in the order of trial: by default OTHER_METHODS, or WHERE_PULSES if discontinuities of forces may be
-        unknown.
+        Methods beside Radau IIA of order 5 in the order of trial: by default OTHER_METHODS, or WHERE_PULSES if discontinuities of forces may
+        be unknown.
     first : int
         First level of refinement.
     kept : KeptEnds, optional
