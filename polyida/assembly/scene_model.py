@@ -5,100 +5,110 @@ from functools import cached_property
 from heapq import merge
 from itertools import count, dropwhile, takewhile
 from math import floor
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly.arrays import concatenated
-from polyida.assembly.build import assemble, coupling_of, extent_of, of_kind, place_bodies, place_states
+from polyida.assembly.build import assemble, extent_of, of_kind, place_bodies, place_states
 from polyida.assembly.equilibrium import add_damping, blocks_at
-from polyida.assembly.factors import OF_FACTORS, given_factors, scaled
+from polyida.assembly.factors import given_factors
 from polyida.assembly.increments import Increments
-from polyida.assembly.kept_rows import kept_rows
 from polyida.assembly.motion import velocity_at
-from polyida.assembly.own_forces import NEAR, Elastic, OwnForce, slope_entries, slopes_of, take_from
-from polyida.assembly.own_laws import add_own_forces, energies_and_powers
-from polyida.assembly.powers import Powers
-from polyida.assembly.projection import MassSystem, point_columns
-from polyida.assembly.redundant import Redundant
-from polyida.assembly.relaxation import add_relaxation, relaxation_energies, stiffness_changes
+from polyida.assembly.own_forces import Elastic, OwnForce, slope_entries, slopes_of, take_from
+from polyida.assembly.own_laws import add_own_forces
+from polyida.assembly.projection import MassSystem
+from polyida.assembly.relaxation import add_relaxation
 from polyida.assembly.relaxation_slopes import slope_entries as relaxation_entries
-from polyida.assembly.row_table import CLOSED
-from polyida.assembly.scene_bodies import SceneBodies, deepest
+from polyida.assembly.scaled_scene import ScaledScene
+from polyida.assembly.scene_bodies import deepest
+from polyida.assembly.scene_energies import SceneEnergies
+from polyida.assembly.scene_modes import SceneModes
 from polyida.assembly.scene_step_matrix import SceneStepMatrix
-from polyida.body.rigid_body import PointMass
-from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
-from polyida.joint.joint import Joint, held_at
 from polyida.linear.lu import dense, summed
 from polyida.linear.saddle import StepMatrix
-from polyida.model import NONE, Needs
-from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.model.row_laws import require_no_laws, violation
+from polyida.model import Needs
+from polyida.model.row_laws import require_no_laws
 from polyida.profile import Profile
 from polyida.validation import pairs_of
 
 SMALL = 100  # largest n + m with dense matrices at the start and in adjoints: up to there sparse ones cost more in Python
-KEPT = 64  # modes that a model with events keeps
 SAME_TIME = 1e-9  # of a period: distance of a time from a sample that is round-off
 SECOND = 1.0  # s: time in which a state of typical size passes the scene's extent, without gravity
 
 
-class SceneModel(SceneBodies):
+class SceneModel(ScaledScene, SceneEnergies, SceneModes):
     """Bodies, joints, masses and forces as `r = M a + g + phi_q^T lam`, `phi(t, q)`; matrices are scipy.sparse.
 
     q are displacements of pairs (x, y): of the plates' nodes, m, then of the complex coordinates of bodies of few coordinates.
 
-    bodies, reduced_bodies: the plates, and the bodies of few coordinates, in the order of q; places: {id: either}. arrays: all that the kernels read; laws: the force elements
-    and elastic forces for kernels, which call functions in Python by `callbacks`; own_forces: the same for Python. compiled: True if kernels
-    can take whole steps.
-    rows: {name: slice of phi and lam} of each joint and body with rows. late: names of the parts that events add, or None without events; see
-    `mode`.
+    bodies, reduced_bodies: the plates, and the bodies of few coordinates, in the order of q; places: {id: either}. arrays: all that the
+    kernels read; laws: the force elements and elastic forces for kernels, which call functions in Python by `callbacks`; own_forces: the same
+    for Python. compiled: True if kernels can take whole steps. rows: {name: slice of phi and lam} of each joint and body with rows. late:
+    names of the parts that events add, or None without events; see `mode` (scene_modes.py).
+
+    Caches, each valid for one value of its key: `_driven` (t, table of the profiles), `_facing` (dz as bytes, Links with the edges that face
+    each other there), `_rotated` [(q, rotation)], shared with copies, `_modes` {parts or rows: model}, `_derived` and `_derived_of_shape`
+    {(function, options): result} of `once`, `_reactions` {(name, whole): Reaction}. `_assembled` is (held, left_out) of the last `_assemble`.
     """
 
     is_scene = has_constraint_increments = True
-    whole: Any = None  # of a mode: the model that has all parts
     switching = False  # True if a force element declares switches, by `gap`
-    looks_apart = 1024  # without reduced_bodies: joints hold on to points of their own, and only motors turn rows
+    looks_apart = (
+        1024  # steps between proofs that the rows of phi_q are independent: joints hold on to points of their own, only motors turn rows
+    )
 
     def __init__(self, parts, gravity, redundant="refuse", without_strains=False, late=None):
-        """Place the parts {name: part} of a scene. redundant, without_strains: as for Scene.build. late: names of parts that only events add."""
-        self.parts, self.treats_redundant, self.without_strains = dict(parts), redundant, without_strains
-        self.late, self._modes, self._rotated = late, {}, [(None, None)]  # q and its rotations, also of models with other rows
+        """Place the parts {name: part} of a scene.
+
+        redundant, without_strains: as for Scene.build. late: names of parts that only events add.
+        """
+        self.parts = dict(parts)
+        self.treats_redundant = redundant
+        self.without_strains = without_strains
+        self.late = late
         self.gravity = tuple(g if isinstance(g, Profile) else float(g) for g in gravity)
-        placed_bodies = place_bodies(parts)
+        self._modes = {}
+        self._rotated = [(None, None)]  # q and its rotations, also of models with other rows
+        self._place()
+        self._take_kinds()
+        self._use_parts(self._late_joints())
+        if redundant == "least-norm":
+            require_no_laws("Scene.build", self, 'redundant="least-norm" is for equations alone; redundant contacts need none')
+        if redundant == "least-norm" and late is None:
+            self._leave_out_redundant(0.0, np.zeros(self.n))
+
+    def _place(self):
+        """Place the bodies and states of the parts, and number their coordinates: of plates, of bodies of few coordinates, states, strains."""
+        placed_bodies = place_bodies(self.parts)
         self.bodies = [placed for placed in placed_bodies if placed.is_full]
         self.reduced_bodies = [placed for placed in placed_bodies if not placed.is_full]
         self.places = {id(placed.user): placed for placed in placed_bodies}
         self.extent = extent_of(placed_bodies)
         self.state_speed = float(np.sqrt(self.free_fall * self.extent) or self.extent / SECOND)
-        self.states, self.strains = place_states(parts, placed_bodies, self.state_speed, without_strains)
+        self.states, self.strains = place_states(self.parts, placed_bodies, self.state_speed, self.without_strains)
         self.places |= {id(placed): placed for placed in self.states.values()}
         self.n_factored = [*placed_bodies, *self.states.values()][-1].pairs.stop
         self.n_nodes = list(self.strains.values())[-1].pairs.stop if self.strains else self.n_factored
-        self.n, all_states = 2 * self.n_nodes, [*self.states.values(), *self.strains.values()]
-        self.state_columns, self.state_units, start = (
-            concatenated([getattr(placed, name) for placed in all_states], dtype)
-            for name, dtype in (("columns", np.int64), ("units", float), ("start", float))
-        )
-        self.state_start = start / self.state_units
+        self.n = 2 * self.n_nodes
+        all_states = [*self.states.values(), *self.strains.values()]
+        self.state_columns = concatenated([placed.columns for placed in all_states], np.int64)
+        self.state_units = concatenated([placed.units for placed in all_states], float)
+        self.state_start = concatenated([placed.start for placed in all_states], float) / self.state_units
         self.k = len(self.state_columns)
         behind_plates = [*self.reduced_bodies, *all_states]
         self.reference = np.concatenate([body.points for body in self.bodies] + [pairs_of(placed.rest) for placed in behind_plates])
-        self.damped = any(placed.damped for placed in placed_bodies)
+
+    def _take_kinds(self):
+        """Set what depends on the kinds of the bodies: damping, masses that differ in x and y, units."""
+        self.damped = any(placed.damped for placed in [*self.bodies, *self.reduced_bodies])
         self.flexible = bool(self.bodies) or any(placed.deforms for placed in self.reduced_bodies)
         uneven = [body for body in self.reduced_bodies if body.uneven is not None]
         self.uneven_mass = _uneven([(body, 1.0) for body in uneven], self.n)
         self.uneven_drag = _uneven([(body, body.body.damping()[0]) for body in uneven], self.n)
         self.solid = not any(placed.massless for placed in self.reduced_bodies) and self.uneven_mass is None
         self.uniform_units = not (self.reduced_bodies or self.strains)
-        self._use_parts(self._late_joints())
-        if redundant == "least-norm":
-            require_no_laws("Scene.build", self, 'redundant="least-norm" is for equations alone; redundant contacts need none')
-        if redundant == "least-norm" and late is None:
-            self._leave_out_redundant(0.0, np.zeros(self.n))
 
     def _use_parts(self, held, left_out=()):
         """Take from the parts all that depends on which of them act. held: {name: joint as it holds}; left_out: rows to omit."""
@@ -109,104 +119,17 @@ class SceneModel(SceneBodies):
         self.own_forces = (*forces, *(Elastic(own, self.n_nodes, next(functions)) for own in elastic))
         self.switching = any(own.switches for own in self.own_forces)
         self.controllers = [own for own in self.own_forces if own.period]
-        self.compiled, self.looks_apart = self.solid, 1 if self.reduced_bodies else self.looks_apart
+        self.compiled = self.solid
+        if self.reduced_bodies:
+            self.looks_apart = 1
+        self.remark = self._remark_on_speed()
+
+    def _remark_on_speed(self):
+        """Return the note that names bodies and elements for which compiled steps cannot be used, or are slow; empty if there are none."""
         plain = [placed.name for placed in self.reduced_bodies if placed.massless or placed.uneven is not None]
         python = [one.functions.name for one in self.callbacks if one.addresses.keys() - {"energy"}]
         why = (("plain paths for the masses of", plain), ("calls in every step of the Python of", python))
-        self.remark = " and ".join(f"{what} {', '.join(map(repr, names))}" for what, names in why if names)
-
-    def _leave_out_redundant(self, t, q, held=NONE, left_out=()):
-        """Leave out rows that depend on others at (t, q), besides those with the numbers `left_out`. Returns the numbers of those that stay."""
-        redundant, columns = Redundant(self.altered(), t, q), np.setdiff1d(np.arange(self.m + len(left_out)), left_out)
-        if redundant.labels or self.treats_redundant == "least-norm":
-            self.redundant = redundant
-            self._assemble(held, [*left_out, *columns[redundant.left_out]])
-            self.remark = " and ".join(filter(None, (self.remark, redundant.remark())))
-        return columns[redundant.independent]
-
-    def mode(self, absent, since):
-        """The model of the same coordinates without the parts named in `absent`, of a model that has the rows of all parts.
-
-        Its `columns` are the numbers of its rows of phi among all. since: {name: (1 + n,), t and q} of joints that were added there; their rows
-        take from this position what other joints take from the reference configuration. Rows that depend on others at the last one are left out.
-        """
-        key = absent, tuple((name, at.tobytes()) for name, at in since.items())
-        if not (absent or since or self.treats_redundant == "least-norm"):
-            return self
-        if key not in self._modes:
-            if len(self._modes) >= KEPT:
-                self._modes.clear()
-            self._modes[key] = self._mode(absent, since)
-        return self._modes[key]
-
-    def _mode(self, absent, since):
-        """The model of this scene without the absent parts, with joints that hold places of a state."""
-        left_out = concatenated([np.arange(self.m)[self.rows[name]] for name in absent if name in self.rows], np.int64)
-        other = self._acting(absent, since, left_out)
-        held, other.columns = other._assembled[0], np.setdiff1d(np.arange(self.m), left_out)
-        for name, at in since.items():
-            off = violation(other, other.phi(float(at[0]), at[1:]))[other.rows[name]]
-            if np.abs(off).max(initial=0.0) > CLOSED * self.extent:
-                how = "penetrated" if any(law.name == name and law.is_contact for law in other.row_laws) else "open"
-                raise InputError(f"{name!r} does not fit where it is added: it is {how} by {np.abs(off).max():.3g} m")
-        if since or self.treats_redundant == "least-norm":
-            at = list(since.values())[-1] if since else np.zeros(1 + self.n)
-            other.columns = other._leave_out_redundant(float(at[0]), at[1:], held, left_out)
-        return other
-
-    def _acting(self, absent, since, left_out):
-        """A copy without the parts named in `absent`, and without the rows `left_out`. since: {name: (1 + n,), t and q} of added joints."""
-        heavy = any(isinstance(self.parts[name], PointMass) for name in {*absent, *(self.late or ())})
-        other = self._copy({"pattern", "first_pairs", *(() if heavy else OF_FACTORS)})
-        other.whole, other.absent, other.since = self, absent, since
-        other.parts = {name: part for name, part in self.parts.items() if isinstance(part, Joint) or name not in absent}
-        held = self._late_joints()
-        held |= {name: held_at(self.parts[name], lambda place, at=at: self.place(place, at[None, 1:])[0]) for name, at in since.items()}
-        other._use_parts(held, left_out)
-        return other
-
-    def mode_like(self, mode, since=None):
-        """The mode of this model with the parts and rows of a mode of a model that is near it, also if its joints do not fit by as much.
-
-        since: other positions at which joints were added.
-        """
-        other = self._acting(mode.absent, mode.since if since is None else since, mode._assembled[1])
-        other.columns = mode.columns
-        return other
-
-    def with_rows(self, rows):
-        """This model with only these rows of phi, (k,) int, all of them equations; stored."""
-        key = tuple(np.asarray(rows).tolist())
-        if key not in self._modes:
-            if len(self._modes) >= KEPT:
-                self._modes.clear()
-            self._modes[key] = self._copy({"pattern", "first_pairs", *OF_FACTORS})
-            self._modes[key].keep_rows(key)
-        return self._modes[key]
-
-    def keep_rows(self, rows, slips=None):
-        """Make this copy of a model one with only these rows of phi, (k,) int in rising order, all of them equations; slips: Slips or None."""
-        rows = np.array(rows, np.int64)
-        links = self.arrays.links
-        self.columns, self.m = rows, len(rows)
-        self.row_laws = ()
-        self.labels, self.units = [self.labels[row] for row in rows], [self.units[row] for row in rows]
-        self.rows = {name: slice(*np.searchsorted(rows, (of.start, of.stop)).tolist()) for name, of in self.rows.items()}
-        kept = [edges for edges in self.edge_rows if edges.first in rows]
-        self.edge_rows = [edges.at(int(np.searchsorted(rows, edges.first))) for edges in kept]
-        links = links._replace(**kept_rows(links, rows), slips=slips or links.slips)
-        columns = self.once(point_columns)
-        self._use_links(links._replace(coupling=coupling_of(links, self.laws)))
-        self._derived[(point_columns,)] = columns  # of points, which are the same
-
-    def _copy(self, kept):
-        """A copy without what is derived, but for these names."""
-        cached = {name for kind in type(self).__mro__ for name, value in vars(kind).items() if isinstance(value, cached_property)}
-        return self.altered(cached - kept, _modes={})
-
-    def _late_joints(self):
-        """{name: joint} of the joints that events add; a place of the other side stands for plain `ground`."""
-        return {name: self.parts[name].facing() for name in self.late or () if isinstance(self.parts[name], Joint)}
+        return " and ".join(f"{what} {', '.join(map(repr, names))}" for what, names in why if names)
 
     def _assemble(self, held, left_out=()):
         """Take arrays and rows of phi from the parts, without the rows with the numbers `left_out`.
@@ -217,9 +140,16 @@ class SceneModel(SceneBodies):
         assembled = assemble(self.all_bodies, self.states, self.strains, self.places, self.parts, self.gravity, self.extent, left_out, held)
         self._driven = None, None
         self.arrays, points, table, drives, self.laws, self.callbacks = assembled
-        self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
-        self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
-        self.m, self.n_points, self.row_laws, self.edge_rows = len(self.labels), len(points.nodes), tuple(table.laws), table.edges
+        self.profiles = drives.profiles
+        self.named_profiles = tuple(zip(drives.names, drives.profiles))
+        self.labels = table.labels
+        self.units = table.units
+        self.rows = table.rows
+        self.joints = table.joints
+        self.m = len(self.labels)
+        self.n_points = len(points.nodes)
+        self.row_laws = tuple(table.laws)
+        self.edge_rows = table.edges
         self._use_links(self.arrays.links)
 
     def _use_links(self, links):
@@ -251,53 +181,6 @@ class SceneModel(SceneBodies):
         arguments = self.parts, self.gravity, self.treats_redundant, self.without_strains, self.late
         return _unpickled, (type(self), *arguments, given_factors(self))
 
-    @property
-    def factors(self) -> dict[str, tuple[NDArray, NDArray]]:
-        """{plate: (stiffness, mass)}, each (cells,): the factors of all full plates, 1 by default."""
-        bodies: Any = self.bodies
-        return {body.name: body.factors for body in bodies}
-
-    def with_factors(self, /, **factors: tuple[ArrayLike | None, ArrayLike | None]) -> "SceneModel":
-        """This model with factors of the plates' cells: `with_factors(arm=(stiffness, mass))`.
-
-        Parameters
-        ----------
-        **factors : (stiffness, mass)
-            For each plate that changes: two positive numbers, or arrays (cells,) of them, or None for 1. A factor refers to the full plate,
-            whatever factors this model has. Other plates keep theirs.
-
-        Returns
-        -------
-        SceneModel
-            A model that shares with this one all that does not depend on factors.
-
-        Raises
-        ------
-        InputError
-            Names the plate and the value.
-
-        Notes
-        -----
-        Stiffness scales the elastic force, its viscosity and the stabilisation of virtual elements; mass scales inertia, weight and
-        mass-proportional damping. A cell with factor f in both is a cell of thickness f t. Stresses are those of the scaled material.
-        """
-        return scaled(self, factors)
-
-    def elastic(self, relaxed):
-        """This model with elastic plates in place of viscoelastic ones, with fewer coordinates behind the same first ones.
-
-        Their modulus is that of a sudden strain, or if `relaxed` that of a constant one after a long time.
-        """
-        model = type(self)(self.parts, self.gravity, self.treats_redundant, True, self.late).with_factors(**given_factors(self))
-        if relaxed:
-            plates, reduced = model.arrays.plates, model.arrays.reduced
-            of_plates, of_reduced = np.split(1.0 + stiffness_changes(self, 0.0), [len(self.bodies)])
-            forms = reduced.form * np.repeat(of_reduced, np.diff(reduced.form_start[: len(of_reduced) + 1]))
-            model.arrays = model.arrays._replace(
-                plates=plates._replace(membrane_stiffness=plates.membrane_stiffness * of_plates), reduced=reduced._replace(form=forms)
-            )
-        return model
-
     def evaluate(self, t, q, a, lam, rotation=None):
         """(r (n,), phi (m,), rotation, least det F, least motor cosine) in one compiled pass."""
         r, phi = np.empty((self.n_nodes, 2)), np.empty(self.m)
@@ -315,7 +198,7 @@ class SceneModel(SceneBodies):
         return r if self.uneven_mass is None else r + self.uneven_mass @ a
 
     def _with_forces(self, t, q, v, r):
-        """Add damping and force elements to r, which `evaluate` omits."""
+        """Add to r, in place, what the compiled residual leaves out: damping, relaxation and force elements at (t, q, v). Returns r."""
         if self.damped:
             add_damping(self.arrays, self._nodal(q), self._nodal(v), np.empty((self.n_nodes, 2)), r.reshape(-1, 2))
         if self.uneven_drag is not None:
@@ -459,6 +342,7 @@ class SceneModel(SceneBodies):
         (indptr, indices), result = self.pattern, np.zeros((self.n, self.n))
         pairs = np.repeat(np.arange(self.n_nodes), np.diff(indptr))
         blocks = blocks_at(self, self._nodal(q), self._nodal(v), 0.0, 0.0, 1.0)
+        # result as (pairs, 2, pairs, 2): the block of a pair of pairs
         result.reshape(self.n_nodes, 2, self.n_nodes, 2)[pairs, :, indices, :] = blocks
         if self.own_forces:
             result += dense(slopes_of(self.own_forces, t, q, v, 0.0, 1.0))
@@ -496,55 +380,6 @@ class SceneModel(SceneBodies):
         if cosine > 0:
             return None
         return f"motor {self._flipped(t, q)!r} stands on the wrong half-turn (cosine of its angle error {cosine:.3g})"
-
-    def potential(self, q):
-        """Strain energy, energy of force elements and potential of gravity, J, relative to the reference configuration."""
-        return sum(self.potentials(q))
-
-    def potentials(self, q, v=None):
-        """(potential of gravity and force elements, strain energy), J; v is needed if energies depend on states."""
-        energies = self.element_energies(q, v)
-        elements = sum((energy for own, energy in zip(self.own_forces, energies) if not own.strain), 0.0)
-        return self.gravity_potential(q) + elements, self.strain_energy(q, v, energies)
-
-    def element_energies(self, q, v=None):
-        """Energies, J, of the force elements and elastic forces in `own_forces`; v is needed if they depend on states."""
-        if not self.own_forces:
-            return ()
-        v = np.zeros(self.n) if v is None else v
-        known = self.compiled_energies(0.0, q, v)
-        return [own.energy(own.places(q), own.velocities(v)) for own in self.own_forces] if known is None else known[:, 0].tolist()
-
-    def compiled_energies(self, t, q, v):
-        """(energy, J, work beyond it, W) of each of `own_forces`, (., 2), from compiled code; None if one is Python or gives nan."""
-        if any(one.addresses for one in self.callbacks):
-            return None
-        result = np.empty((len(self.own_forces), 2))
-        nodal = self._nodal(np.array(q, float)), self._nodal(np.array(v, float))
-        energies_and_powers(self.laws, self.arrays.links, self.drives(t), *nodal, FIRST_ORDER_STEP * NEAR, result)
-        return result if np.isfinite(result).all() else None
-
-    def strain_energy(self, q, v=None, energies=None):
-        """Elastic energy of all bodies, J; of viscoelastic plates with the states in v, which are zero by default. energies: element_energies."""
-        energies = self.element_energies(q) if energies is None else energies
-        energy = compiled.strain_energy(self.arrays, self._nodal(q)) + sum(e for own, e in zip(self.own_forces, energies) if own.strain)
-        if self.strains:
-            energy += relaxation_energies(self.arrays, self._nodal(q), self._nodal(np.zeros(self.n) if v is None else v))[0]
-        return energy
-
-    def gravity_potential(self, q):
-        """Potential of steady gravity on bodies and masses, J, zero at q = 0. Gravity that follows a profile does work instead."""
-        at_points = self.arrays.links.point_mass @ (self.dz(q) @ self.arrays.links.gravity)
-        return -float(np.sum(self.arrays.plates.weight * self._nodal(q)) + at_points)
-
-    @property
-    def dissipating(self):
-        """Names of the `powers` that only take energy."""
-        return self.once(Powers).dissipating
-
-    def powers(self, t, q, v, lam):
-        """Return {name: power, W} of external work and of forces without a part in `potential`."""
-        return self.once(Powers)(t, q, v, lam)
 
     @cached_property
     def pattern(self):

@@ -22,7 +22,8 @@ class SlippingScene(Slipping, SceneModel):
         place = {int(row): k for k, row in enumerate(rows)}
         on = [np.array([place[row] for row in law.on if row in place], np.int64) for law, _ in slips]
         on_contact = [one and len(rows_on) > 0 for one, rows_on in zip(mode.on_contact, on)]
-        mode.keep_rows(rows, slips_of(origin.arrays.links, np.array(mode.rubbing), mode.constant, mode.slope, on_contact, on))
+        slipping_rows = np.array(mode.slipping_rows)
+        mode.keep_rows(rows, slips_of(origin.arrays.links, slipping_rows, mode.signed_constant, mode.signed_mu, on_contact, on))
         return mode
 
     def reaction_q(self, t, q, lam):

@@ -1,4 +1,8 @@
-"""Model: one residual r and one constraint vector phi, which every integrator solves."""
+"""Model: one residual r and one constraint vector phi, which every integrator solves.
+
+Users' models, the model of a scene (assembly/scene_model.py) and Equations (guarded.py) are Models. Integrators, adjoints and results ask
+only for the attributes and functions of this class; most have defaults, derivatives by differences.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,8 @@ from polyida.validation import named_keywords
 
 Matrix = Any  # an array, or one of scipy.sparse
 NONE: MappingProxyType[str, Any] = MappingProxyType({})
-FEW, ROUND_OFF = 200, 1e-12  # coordinates and constraints of a model whose free coordinates are looked for; a relative singular value
+MOST_EXAMINED = 200  # n + m above which free coordinates are not looked for
+SINGULAR = 1e-12  # relative singular value that counts as zero
 NEARBY = 1e-4  # of a parameter's size: a change with which kinks move linearly
 
 
@@ -51,8 +56,9 @@ class Needs:
 class Model:
     """A constrained mechanical system `r = M(q) a + g(t, q, v) + phi_q^T lam = 0`, `phi(t, q) = 0` (index 3).
 
-    A user's model sets `n` and `m` and writes `mass` and `force`, and with constraints `phi` and `phi_q`, or `psi` with `p` velocity rows. All other functions have
-    defaults: derivatives are fourth-order differences. Override them if the exact form is known, and check them with `check_derivatives`.
+    A user's model sets `n` and `m` and writes `mass` and `force`, and with constraints `phi` and `phi_q`, or `psi` with `p` velocity rows. All
+    other functions have defaults: derivatives are fourth-order differences. Override them if the exact form is known, and check them with
+    `check_derivatives`.
     Shapes: q, v, a (n,), lam and phi (m,), matrices dense or scipy.sparse. The multipliers have the sign of r.
 
     `solve` calls each of the four functions once before the run and checks their values. Then it compares with differences `needs` and,
@@ -101,50 +107,64 @@ class Model:
         Names in `powers` of parts that only dissipate.
     """
 
+    # written by the user, see Attributes
     n: int
     m: int
-    k = algebraic = 0
+    k = 0
+    p = 0
+    algebraic = 0
     x0: Any = None
     sizes_x: Any = None
     needs: Needs = Needs()
-    p = 0
+    parameters: tuple[str, ...] = ()
+    row_laws: Any = ()  # a RowLaw of each row of contact or friction; the other rows are equations
+    uniform_units = False
+    has_constraint_increments = False
+    flexible = False
+    extent = None
+    free_fall = 0.0
+    dissipating = ()
+
+    # what kind of model it is, set by classes
     by_numba = False  # True if numba compiles the functions (jit/user_functions.py)
     is_scene = False  # True for the model of a scene
     checked = False  # True for a model that calls a checked one
-    parameters: tuple[str, ...] = ()
-    uniform_units = has_constraint_increments = False
-    compiled = False  # True for a scene with regular masses, equal in x and y: integrators have compiled loops over its `arrays`
-    own_forces: Any = ()  # the force elements of a scene
-    remark = ""  # a note for a run's summary
-    flexible = False
-    extent = None
     longest_stretch = 1024  # steps that an integrator takes before they are looked at
-    slipping = False  # True for a scene in which friction slips: forces of users of M and phi_q alone are without it
-    free_fall = 0.0
+    looks_apart = 1  # steps between checks of the independence of phi_q's rows
+    remark = ""  # a note for a run's summary
+
+    # of a scene, set by assembly.scene_model
+    compiled = False  # True for a scene with regular masses, equal in x and y: integrators have compiled loops over its `arrays`
+    own_forces: Any = ()  # its force elements
     reference = None  # places of its nodes at q = 0, (nodes, 2), m
     bodies = drawn = ()  # its full plates; all bodies with a mesh: full plates, then reduced and rigid ones
     reduced_bodies = ()  # its bodies of few coordinates
     strains = NONE  # by name: relaxed strains of viscoelastic plates
-    parts = rows = joints = NONE  # by name: its parts, their slices of phi and lam, the joints among them
-    labels = units = ()  # of the rows of phi: names, and units of the multipliers
+    parts = NONE  # by name: its parts
+    rows = NONE  # by name: slices of phi and lam of the parts
+    joints = NONE  # by name: the joints among the parts
+    labels = ()  # names of the rows of phi
+    units = ()  # of the multipliers
     named_profiles = ()  # (name, profile) of its loads and motors, the k-th that of row k of drives(t)
     motor_profiles = ()  # indices of profiles that turn rows of phi, rad
     path_profiles = ()  # indices of profiles that are added to rows of phi, m
     states = NONE  # {name: PlacedStates} of force elements with states
-    velocity_rows = np.zeros(0, np.int64)  # rows of phi that are velocity rows: phi = 0, phi_q = W, phi_rate = psi
-    state_columns = np.zeros(0, np.int64)  # coordinates whose velocities are states: x = state_units v[state_columns]
-    state_units = np.zeros(0)
-    state_start = np.zeros(0)  # velocities of the states at the start of a run
-    own_states: Any = None  # OwnStates of a user's model
     state_speed = 1.0  # the velocity that stands for a state of typical size
-    looks_apart = 1  # states between checks of the independence of phi_q's rows
-    dissipating = ()
-    row_laws: Any = ()  # a RowLaw of each row of contact or friction; the other rows are equations
     treats_redundant = "refuse"  # the argument `redundant` of Scene.build
     redundant: Any = None  # rows of phi that are left out, as assembly/independence.py has them
-    absent: Any = frozenset()  # names of parts that do not act, of a scene that events change
-    columns: Any = slice(None)  # numbers of the rows of phi among the columns of a run's lam
+
+    # of guarded models, set by guarded.Equations; a scene sets those of states, too
+    velocity_rows = np.zeros(0, np.int64)  # rows of phi that are velocity rows: phi = 0, phi_q = W, phi_rate = psi
+    state_columns = np.zeros(0, np.int64)  # coordinates whose velocities are states: x = state_units v[state_columns]
+    state_units = np.zeros(0)  # (k,)
+    state_start = np.zeros(0)  # velocities of the states at the start of a run, (k,)
+    own_states: Any = None  # OwnStates of a user's model
     not_finite = ""  # names of the functions that last returned numbers that are not finite
+
+    # of a model that events change, set by mode() and run/events
+    slipping = False  # True for a scene in which friction slips: forces of users of M and phi_q alone are without it
+    absent: Any = frozenset()  # names of parts that do not act
+    columns: Any = slice(None)  # numbers of the rows of phi among the columns of a run's lam
 
     @property
     def all_bodies(self) -> list:
@@ -153,7 +173,7 @@ class Model:
 
     @property
     def few(self) -> Any:
-        """Its bodies of few coordinates, `reduced_bodies`."""
+        """Deprecated: the same as `reduced_bodies`."""
         return self.reduced_bodies
 
     def __repr__(self):
@@ -170,6 +190,8 @@ class Model:
             for name, part in self.parts.items()
         ]
         return table(repr(self)[1:-1], ("name", "kind", "in the model") if rows else (), rows)
+
+    # what a user writes: mass and force, with states rates, with constraints phi and phi_q, with velocity rows psi
 
     def mass(self, q: NDArray) -> Matrix:
         """Return the mass matrix M, (n, n), symmetric."""
@@ -199,6 +221,8 @@ class Model:
         """Return W, (p, n); by default from values of psi."""
         raise NotImplementedError
 
+    # derivatives of forces and of phi, by default by differences
+
     def force_q(self, t: float, q: NDArray, v: NDArray) -> Matrix:
         """Return the derivative dg/dq of the force, (n, n)."""
         return differences.jacobian(lambda x: self.force(t, x, v), q, self.n)
@@ -221,12 +245,16 @@ class Model:
             return np.zeros(self.m)
         return differences.along(lambda s: self.phi(t + s, q), bounds=self._smooth(t))
 
+    def _smooth(self, t):
+        """The range (low, high) of s around 0 in which t + s is not at a kink."""
+        return differences.around(self.kinks(t - 1.0, t + 1.0), t)
+
     def phi_rate(self, t: float, q: NDArray, v: NDArray) -> NDArray:
         """Return d phi/dt = `phi_q v + phi_t`, (m,)."""
         return self.phi_q(t, q) @ v + self.phi_t(t, q)
 
     def phi_of_frames(self, t: NDArray, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
-        """Return phi and its rate in frames, (frames, m) each."""
+        """Return phi and its rate in frames, (frames, m) each. t: (frames,); q and v: (frames, n)."""
         rates = [self.phi_rate(*at) for at in zip(t, q, v)]
         return np.array([self.phi(*at) for at in zip(t, q)]), np.array(rates)
 
@@ -253,18 +281,69 @@ class Model:
         changes = [self.phi_bias(t, q, v + step) - self.phi_bias(t, q, v - step) for step in np.diag(steps)]
         return np.array(changes).T / (2.0 * steps)
 
-    def _smooth(self, t):
-        """The range of s around 0 in which t + s is not at a kink."""
-        return differences.around(self.kinks(t - 1.0, t + 1.0), t)
+    # the residual, Newton's method and factors
 
-    def potential(self, q: NDArray) -> float | None:
-        """Return the potential energy of all conservative forces at q, J, or None if unknown."""
+    def residual(self, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray) -> NDArray:
+        """Return `r = M a + g + phi_q^T lam`, (n,)."""
+        r = self.mass(q) @ a + self.force(t, q, v)
+        return r + self.phi_q(t, q).T @ lam if self.m else r
+
+    def tangent(self, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, c_m: float, c_v: float, c_q: float) -> Matrix:
+        """Return `c_m M + c_v dr/dv + c_q dr/dq`, (n, n), without the terms that `needs` excludes."""
+        result = c_m * self.mass(q) + c_q * self.force_q(t, q, v)
+        if self.needs.velocity_forces and c_v:
+            result = result + c_v * self.force_v(t, q, v)
+        if self.needs.mass_varies:
+            result = result + c_q * self.mass_a_q(q, a)
+        if self.needs.phi_q_varies and self.m:
+            result = result + c_q * self.reaction_q(t, q, lam)
+        return result
+
+    def columns_of_forces(self, t: float, q: NDArray, lam: NDArray) -> Matrix | None:
+        """Return `(dr/dlam)^T`, (m, n), if it is not phi_q; else None."""
         return None
 
-    def potentials(self, q: NDArray) -> tuple[float, float]:
-        """Return (potential of loads, strain energy), J. A user's model has `potential` as the first and 0 as the second; nan if unknown."""
-        value = self.potential(q)
-        return np.nan if value is None else value, 0.0
+    def step_matrix(self) -> Any:
+        """Return a StepMatrix of this model (linear/saddle.py), not factored yet."""
+        return StepMatrix(self)
+
+    def increments(self, t0: float, t1: float, ends: tuple[float, float], h: float, q: NDArray, v: NDArray) -> Any:
+        """Return a function (dd, dv, phi, rate) -> (phi, rate) after a step of h from (q, v) at t0 in which q changes by h v + dd and v by dv.
+
+        Its error is the round-off of the increment, not of q. Called if `has_constraint_increments` is True. ends: t0 and t1, or times just
+        within if there is a kink.
+        """
+        raise NotImplementedError
+
+    def mass_system(self, t: float, q: NDArray) -> Any:
+        """Return the factored `[[M, B^T], [B, 0]]` at (t, q), B = phi_q; its `solve(r, phi)` returns (dq, dlam), see linear/saddle.py.
+
+        Raises InputError if it is singular.
+        """
+        try:
+            return KKT(self.mass(q), self.phi_q(t, q), 1.0)
+        except SingularSystem:
+            needed = "every coordinate needs mass or a constraint"
+            raise InputError(f"the mass matrix is singular on the constraints{self._free_coordinates(t, q)}: {needed}") from None
+
+    def _free_coordinates(self, t, q):
+        """The coordinates that neither mass nor a row of phi holds, in words; empty for large models, and if rows alone depend on each other.
+
+        They are the largest entries of the null vector of [M; B], B = phi_q.
+        """
+        if self.n + self.m > MOST_EXAMINED:
+            return ""
+        matrix = np.vstack([dense(self.mass(q)), dense(self.phi_q(t, q))])
+        if not np.isfinite(matrix).all():
+            return ""
+        _, sizes, rows = np.linalg.svd(matrix)
+        if sizes[-1] > SINGULAR * sizes[0]:
+            return ""
+        free = np.abs(rows[-1])  # the null vector
+        names = getattr(self, "coordinates", None) or [f"q[{k}]" for k in range(self.n)]
+        return ", where nothing holds " + ", ".join(str(name) for name, share in zip(names, free) if share > 1e-3 * free.max())
+
+    # rows and states
 
     def with_rows(self, rows: Any) -> Model:
         """Return the model in which only these rows of phi are there, as equations, (k,) int."""
@@ -294,6 +373,17 @@ class Model:
             v[self.state_columns] = 0.0
         return v
 
+    # energies, momenta and powers
+
+    def potential(self, q: NDArray) -> float | None:
+        """Return the potential energy of all conservative forces at q, J, or None if unknown."""
+        return None
+
+    def potentials(self, q: NDArray) -> tuple[float, float]:
+        """Return (potential of loads, strain energy), J. A user's model has `potential` as the first and 0 as the second; nan if unknown."""
+        value = self.potential(q)
+        return np.nan if value is None else value, 0.0
+
     def momenta(self, q: NDArray, v: NDArray) -> NDArray | None:
         """Return (px, py, L): momentum, N s, and angular momentum about the origin, N m s, or None if unknown."""
         return None
@@ -301,6 +391,8 @@ class Model:
     def powers(self, t: float, q: NDArray, v: NDArray, lam: NDArray) -> dict[str, float]:
         """Return {name: power, W} of external work and of forces without a part in `potential`; `run.energy.work` has the integrals."""
         return {}
+
+    # the start, and what steps must not pass
 
     def initial_velocity(self, t: float, q: NDArray) -> NDArray:
         """Return the default initial velocities, (n,); they need not be consistent."""
@@ -313,26 +405,6 @@ class Model:
     def facing(self, q: NDArray) -> Any:
         """Return the model in which edges of plates face what they face at q, whatever moves: smooth rows for Newton's method in a step."""
         return self
-
-    def sticks(self, q: NDArray) -> NDArray:
-        """Return line segments (segments, 2, 2), m, that show bodies without a mesh."""
-        return np.zeros((0, 2, 2))
-
-    def attachment(self, name: Any) -> Any:
-        """Return the attachment of the part of this name; InputError if there is none."""
-        raise InputError(f"{type(self).__name__} has no named points, so none called {name!r}; read q")
-
-    def position(self, name: Any, q: NDArray) -> NDArray:
-        """Return the path of a named point over frames q (frames, n): (frames, 2), m; InputError if there is none."""
-        raise InputError(f"position({name!r}): {type(self).__name__} has no named points; read q")
-
-    def constraint_name(self, row: int) -> str:
-        """Return the name of a row of phi in messages."""
-        return f"phi[{row}]"
-
-    def keeps_body(self, row: int) -> bool:
-        """Return True if a row of phi keeps a body rigid; messages then name other rows."""
-        return False
 
     def kinks(self, t0: float, t1: float) -> tuple[float, ...]:
         """Return the sorted times in (t0, t1) at which a load or motor profile is not smooth; steps end there."""
@@ -362,21 +434,29 @@ class Model:
         """Return the names of `gaps` in messages."""
         return [f"gaps[{k}]" for k in range(self.gaps(0.0, np.zeros(self.n)).size)]
 
-    def residual(self, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray) -> NDArray:
-        """Return `r = M a + g + phi_q^T lam`, (n,)."""
-        r = self.mass(q) @ a + self.force(t, q, v)
-        return r + self.phi_q(t, q).T @ lam if self.m else r
+    # positions and names
 
-    def tangent(self, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, c_m: float, c_v: float, c_q: float) -> Matrix:
-        """Return `c_m M + c_v dr/dv + c_q dr/dq`, (n, n), without the terms that `needs` excludes."""
-        result = c_m * self.mass(q) + c_q * self.force_q(t, q, v)
-        if self.needs.velocity_forces and c_v:
-            result = result + c_v * self.force_v(t, q, v)
-        if self.needs.mass_varies:
-            result = result + c_q * self.mass_a_q(q, a)
-        if self.needs.phi_q_varies and self.m:
-            result = result + c_q * self.reaction_q(t, q, lam)
-        return result
+    def sticks(self, q: NDArray) -> NDArray:
+        """Return line segments between the named points of bodies without a mesh, (segments, 2, 2), m."""
+        return np.zeros((0, 2, 2))
+
+    def attachment(self, name: Any) -> Any:
+        """Return the attachment of the part of this name; InputError if there is none."""
+        raise InputError(f"{type(self).__name__} has no named points, so none called {name!r}; read q")
+
+    def position(self, name: Any, q: NDArray) -> NDArray:
+        """Return the path of a named point over frames q (frames, n): (frames, 2), m; InputError if there is none."""
+        raise InputError(f"position({name!r}): {type(self).__name__} has no named points; read q")
+
+    def constraint_name(self, row: int) -> str:
+        """Return the name of a row of phi in messages."""
+        return f"phi[{row}]"
+
+    def keeps_body(self, row: int) -> bool:
+        """Return True if a row of phi keeps a body rigid; messages then name other rows."""
+        return False
+
+    # parameters
 
     def replaced(self, name: str, value: Any) -> Model:
         """Return a copy with another value of an attribute; of a dataclass by `dataclasses.replace`.
@@ -391,6 +471,10 @@ class Model:
         object.__setattr__(other, name, value)
         return other
 
+    def parameter(self, name: str) -> Any:
+        """Return the value of one of `parameters`; None if there is none of this name."""
+        return getattr(self, name, None)
+
     def residual_p(self, name: str, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray) -> NDArray:
         """Return dr/dp of one of `parameters`, (n,), of an array (n, ...); by default differences of copies."""
         return self.slope_p(name, lambda model: model.residual(t, q, v, a, lam), t)
@@ -399,68 +483,33 @@ class Model:
         """Return dphi/dp of one of `parameters`, (m,), of an array (m, ...); by default differences of copies."""
         return self.slope_p(name, lambda model: model.phi(t, q), t)
 
-    def parameter(self, name: str) -> Any:
-        """Return the value of one of `parameters`; None if there is none of this name."""
-        return getattr(self, name, None)
-
     def slope_p(self, name: str, function: Callable[[Model], NDArray], t: float | None = None) -> NDArray:
         """Return the derivative of `function(model)`, (k,), in one of `parameters`, by differences of copies: (k,), of an array (k, ...).
 
         t: the time of the function; differences are limited so that no kink that moves with the parameter passes it.
         """
         value = np.asarray(self.parameter(name), float)
-        bounds: tuple[float, float] = differences.EVERYWHERE if t is None or value.ndim else self._bounds(name, float(value), t)
+        bounds: tuple[float, float] = differences.EVERYWHERE if t is None or value.ndim else self._range_before_kink(name, float(value), t)
         columns = []
         for unit in np.eye(value.size).reshape(value.size, *value.shape):
             size = float(np.abs(value[unit == 1.0]).item()) or 1.0
             columns.append(differences.along(lambda s, unit=unit: function(self.replaced(name, (value + s * unit)[()])), size, bounds))
         return np.stack(columns, axis=-1).reshape(len(columns[0]), *value.shape)
 
-    def _bounds(self, name, value, t):
-        """The range in which a number may change before a kink that moves with it passes time t."""
-        about, step = (t - 1.0, t + 1.0), NEARBY * (abs(value) or 1.0)
+    def _range_before_kink(self, name, value, t):
+        """The range (low, high) in which a number p may change before a kink that moves with it passes time t.
+
+        A kink at t_k moves with the speed dt_k/dp, and reaches t after the change (t - t_k) / speed of p.
+        """
+        about = t - 1.0, t + 1.0
         kinks = self.kinks(*about)
-        low, high = (self.replaced(name, value + s).kinks(*about) for s in (-step, step)) if kinks else ((), ())
-        if not kinks or not len(low) == len(high) == len(kinks):
+        if not kinks:
+            return differences.EVERYWHERE
+        step = NEARBY * (abs(value) or 1.0)
+        low = self.replaced(name, value - step).kinks(*about)
+        high = self.replaced(name, value + step).kinks(*about)
+        if not len(low) == len(high) == len(kinks):
             return differences.EVERYWHERE
         speeds = np.subtract(high, low) / (2 * step)
         reached = [(t - kink) / speed for kink, speed in zip(kinks, speeds) if speed and t != kink]
         return max((s for s in reached if s < 0), default=-np.inf), min((s for s in reached if s > 0), default=np.inf)
-
-    def columns_of_forces(self, t: float, q: NDArray, lam: NDArray) -> Matrix | None:
-        """Return `(dr/dlam)^T`, (m, n), if it is not phi_q; else None."""
-        return None
-
-    def step_matrix(self) -> Any:
-        """Return a StepMatrix of this model (linear/saddle.py), not factored yet."""
-        return StepMatrix(self)
-
-    def increments(self, t0: float, t1: float, ends: tuple[float, float], h: float, q: NDArray, v: NDArray) -> Any:
-        """Return a function (dd, dv, phi, rate) -> (phi, rate) after a step of h from (q, v) at t0 in which q changes by h v + dd and v by dv.
-
-        Its error is the round-off of the increment, not of q. Called if `has_constraint_increments` is True. ends: t0 and t1, or times just
-        within if there is a kink.
-        """
-        raise NotImplementedError
-
-    def _not_held(self, t, q):
-        """The coordinates that neither mass nor a row of phi holds, in words; empty for large models, and if rows alone depend on each other."""
-        if self.n + self.m > FEW:
-            return ""
-        M, B = dense(self.mass(q)), dense(self.phi_q(t, q))
-        sizes, rows = np.linalg.svd(np.vstack([M, B]))[1:] if np.isfinite(M).all() and np.isfinite(B).all() else (np.ones(1), M)
-        if sizes[-1] > ROUND_OFF * sizes[0]:
-            return ""
-        free, names = np.abs(rows[-1]), getattr(self, "coordinates", None) or [f"q[{k}]" for k in range(self.n)]
-        return ", where nothing holds " + ", ".join(str(name) for name, share in zip(names, free) if share > 1e-3 * free.max())
-
-    def mass_system(self, t: float, q: NDArray) -> Any:
-        """Return the factored `[[M, B^T], [B, 0]]` at (t, q), B = phi_q; its `solve(r, phi)` returns (dq, dlam), see linear/saddle.py.
-
-        Raises InputError if it is singular.
-        """
-        try:
-            return KKT(self.mass(q), self.phi_q(t, q), 1.0)
-        except SingularSystem:
-            needed = "every coordinate needs mass or a constraint"
-            raise InputError(f"the mass matrix is singular on the constraints{self._not_held(t, q)}: {needed}") from None

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.linear.lu import dense
@@ -20,18 +23,30 @@ REACHES = (0.1, 1e-3, 1e-6, 0.0)  # of the coordinates' size: distance of a rand
 SCALES = (1.0, 1e-2, 1e-4)  # of a difference's step: if two of them agree, the difference is known
 AGREES = 1e-5  # of its size: accepted error of a derivative
 DOUBT = 10.0  # times the disagreement of differences
-ROUND = 64 * np.finfo(float).eps  # of a function, over a step: round-off of its difference
+DIFFERENCE_ROUND_OFF = 64 * np.finfo(float).eps  # round-off of a difference times its step, over the size of the function
 RAISED = Exception, SystemExit, GeneratorExit  # what functions of users may raise at random places
-CLOSE, RATE = 2e-5, 1e-3  # s, step of differences of profiles, and accepted relative error of their derivatives
+CLOSE = 2e-5  # s, step of differences of profiles
+RATE = 1e-3  # accepted relative error of the derivatives of profiles
 MOMENTS = 8  # times at which phi is evaluated
+JACOBIAN_ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of `differences.jacobian`, over the size of its function
+TRIES = 8  # random states until forces are finite
+ONE_SIDED = 8  # factor of the round-off of a difference beside a kink
+FINER = 1.0 / 8.0  # of the steps of differences, which are repeated with it: beside a kink the results differ
 VELOCITY_ROWS = "; a velocity constraint that has no phi is written as psi(t, q, v), with the number p of its rows"
 
 
-def energies(model, t, q):
-    """Yield (part, energy(x), forces(x), x at q, sizes of x) of bodies and force elements of a scene, or of a user's model.
+class Energy(NamedTuple):
+    """An energy of a model, and the forces that must be minus its slope."""
 
-    x: places. forces: minus the slope that the energy must have, or None if it need not.
-    """
+    part: Any  # the OwnForce of a scene, or the model
+    energy: Callable  # function x -> J
+    forces: Callable  # function x -> minus the slope that the energy must have, of the shape of x; None where it need not have one
+    x: NDArray  # places of the part at q, or q itself
+    sizes: Any  # typical sizes of x, a number or an array
+
+
+def energies(model, t, q):
+    """Yield the Energy of each body and force element of a scene, or of a user's model, at (t, q)."""
     if not model.is_scene:
 
         def conservative(q):  # a model that has powers, or time in its force, need not have its force at rest as slope of its potential
@@ -41,10 +56,10 @@ def energies(model, t, q):
             here, later = (model.force(time, q, np.zeros(model.n)) for time in (t, t + differences.LATER))
             return -model.without_states(here) if np.array_equal(here, later) else None
 
-        yield model, model.potential, conservative, q, _size(q)
+        yield Energy(model, model.potential, conservative, q, _size(q))
         return
     for own in model.own_forces:
-        yield own, own.energy, partial(own.conservative, t), own.places(q), own.sizes
+        yield Energy(own, own.energy, partial(own.conservative, t), own.places(q), own.sizes)
 
 
 def require_energies(model, t, q, strain_only=False):
@@ -53,10 +68,11 @@ def require_energies(model, t, q, strain_only=False):
     Compared are bodies (with strain_only bodies alone), force elements and models that are conservative, at two random places near q (n,).
     """
     random = np.random.default_rng(0)
-    for part, energy, forces, x, sizes in energies(model, t, q):
+    for energy in energies(model, t, q):
+        part = energy.part
         if model.is_scene and (strain_only and not part.strain or is_built_in(type(part.element))):
             continue
-        if not (wrong := _wrong_slope(energy, forces, x, sizes, random)):
+        if not (wrong := _wrong_slope(energy, random)):
             continue
         if not model.is_scene:
             advice = "correct it, or, if forces do more than that, give powers(t, q, v, lam)"
@@ -66,17 +82,25 @@ def require_energies(model, t, q, strain_only=False):
         raise InputError(f"{part.name}: its energy must have {what}: {wrong}; {advice}")
 
 
-def _wrong_slope(energy, forces, x, sizes, random):
-    """The slope of an energy near x along a direction by forces and by differences, in words; empty if they agree or are unknown."""
-    for reach in (0.3, 0.03):
-        place, d = x + reach * sizes * random.standard_normal(x.shape), sizes * random.standard_normal(x.shape)
+def _wrong_slope(energy, random):
+    """The slope of an Energy near its x along a direction by forces and by differences, in words; empty if they agree or are unknown."""
+    x, sizes = energy.x, energy.sizes
+    for reach in (0.3, 0.03):  # a large and a small distance from x: far away forces may not exist
+        place = x + reach * sizes * random.standard_normal(x.shape)
+        direction = sizes * random.standard_normal(x.shape)
         with suppress(*RAISED), np.errstate(all="ignore"):
-            force = forces(place)
+            force = energy.forces(place)
             if force is None:
                 continue
-            written, size = np.array([-np.vdot(force, d)]), np.abs(force * d).sum()
-            moved = lambda s, at=place, d=d: np.array([energy(at + s * d)])  # noqa: E731
-            wrong = _wrong(lambda w=written: w, moved, 1.0, differences.EVERYWHERE, 1, lambda size=size: size)
+            size = np.abs(force * direction).sum()
+            written_slope = np.array([-np.vdot(force, direction)])
+
+            def energy_along(s, place=place, direction=direction):
+                """The energy at a place along the direction, (1,)."""
+                return np.array([energy.energy(place + s * direction)])
+
+            compared = Compared("energy", "its slope", lambda slope=written_slope: slope, energy_along)
+            wrong = _wrong(compared, lambda size=size: np.array([size]))
             if wrong:
                 return wrong.replace("row 0", "along a direction it")
     return ""
@@ -147,31 +171,45 @@ def _near(model, t, t_end, q, v, random, reaches):
 
 
 def _size(x, otherwise=1.0):
-    """The largest absolute value in an array, or `otherwise` if that is zero."""
+    """Largest absolute entry of x; `otherwise` if it is zero or x is empty."""
     return float(np.abs(x).max(initial=0.0)) or otherwise
+
+
+class Promise(NamedTuple):
+    """What a model promises by one of its `needs` being False: calls of a function have equal results."""
+
+    need: str  # name of the attribute of Needs
+    function: str
+    how: str  # how the function breaks the promise, in words
+    calls: list  # two or more functions without arguments whose results must be equal
 
 
 def _require_needs(model, times, q, v, random):
     """Raise InputError if one of `needs` is False and should be True."""
-    needs, d = model.needs, 1e-3 * _size(q) * random.standard_normal(model.n)
-    t, other = times[0], _size(v) * random.standard_normal(model.n)
-    promises = [
-        ("mass_varies", "mass", "changes with q", [lambda: model.written_mass(q), lambda: model.written_mass(q + d)]),
-        ("velocity_forces", "force", "changes with v", [lambda: model.force(t, q, v), lambda: model.force(t, q, other)]),
-    ]
+    t = times[0]
+    move = 1e-3 * _size(q) * random.standard_normal(model.n)
+    other_velocity = _size(v) * random.standard_normal(model.n)
+    masses = [lambda: model.written_mass(q), lambda: model.written_mass(q + move)]
+    forces = [lambda: model.force(t, q, v), lambda: model.force(t, q, other_velocity)]
+    promises = [Promise("mass_varies", "mass", "changes with q", masses), Promise("velocity_forces", "force", "changes with v", forces)]
     if model.m:
-        promises += [
-            ("driven", "phi", "changes with t", [lambda at=at: model.phi(at, q) for at in times]),
-            ("phi_q_varies", "phi_q", "changes with q", [lambda: model.phi_q(t, q), lambda: model.phi_q(t, q + d)]),
-        ]
+        positions = [lambda at=at: model.phi(at, q) for at in times]
+        jacobians = [lambda: model.phi_q(t, q), lambda: model.phi_q(t, q + move)]
+        promises.append(Promise("driven", "phi", "changes with t", positions))
+        promises.append(Promise("phi_q_varies", "phi_q", "changes with q", jacobians))
     if model.velocity_rows.size:
-        still = [lambda: np.zeros(model.velocity_rows.size), lambda: model.phi_t(t, q)[model.velocity_rows]]
-        promises.append(("driven", "psi", "is not zero at v = 0", still))
-    for name, function, how, calls in promises:
-        if not getattr(needs, name) and (change := _change(calls)) is not None:
+
+        def psi_at_zero_velocity():
+            """w(t, q) of psi = W v + w."""
+            return model.phi_t(t, q)[model.velocity_rows]
+
+        zeros = np.zeros(model.velocity_rows.size)
+        promises.append(Promise("driven", "psi", "is not zero at v = 0", [lambda: zeros, psi_at_zero_velocity]))
+    for need, function, how, calls in promises:
+        if not getattr(model.needs, need) and (change := _change(calls)) is not None:
             raise InputError(
-                f"{model.name}.{function} {how}, an entry by {change:.3g}, though its needs promise {name}=False: "
-                f"its needs must say {name}=True, or {function} must not change"
+                f"{model.name}.{function} {how}, an entry by {change:.3g}, though its needs promise {need}=False: "
+                f"its needs must say {need}=True, or {function} must not change"
             )
 
 
@@ -191,75 +229,107 @@ def _largest(array):
     return abs(array).max() if 0 not in array.shape else 0.0
 
 
+@dataclass(frozen=True)
+class Compared:
+    """A derivative that a model writes: `written()` against d^order/ds^order function(s) at s = 0, (rows,) each."""
+
+    name: str  # of the function
+    meaning: str  # of the derivative, in words
+    written: Callable
+    function: Callable
+    scale: float = 1.0  # of s, over which the function varies
+    bounds: tuple = differences.EVERYWHERE  # range of s in which the function is smooth
+    order: int = 1
+
+
 def _require_derivatives(model, times, q, v, random):
     """Raise InputError for a wrong derivative of phi that is written."""
     if not model.m:
         return
-    t, ends = times[0], (times.min() - times[0], times.max() - times[0])
-    d, length = _size(q) * random.standard_normal(model.n), ends[1] - ends[0] or 1.0
-    smooth, everywhere = model._smooth(t), differences.EVERYWHERE
-    bounds = smooth if ends[0] == ends[1] else (max(smooth[0], ends[0]), min(smooth[1], ends[1]))
-    pace = min(length, _size(q) / _size(v))
+    t = times[0]
+    direction = _size(q) * random.standard_normal(model.n)
 
-    def size():  # of what phi is the sum of, whose round-off it has
-        """Size of the terms of each row of phi, whose round-off it has: `|phi_q| (|q| + |v|) + |phi_t t|`."""
+    def size():
+        """Size of what phi is the sum of, (m,), whose round-off it has."""
         return abs(model.phi_q(t, q)) @ (np.abs(q) + np.abs(v)) + np.abs(model.phi_t(t, q) * t)
 
-    written = {
-        "phi_rate": lambda: model.phi_rate(t, q, v),
-        "phi_bias": lambda: model.phi_bias(t, q, v),
-        "phi_q": lambda: model.phi_q(t, q) @ d,
-        "phi_t": lambda: model.phi_t(t, q),
-    }
-    moving, velocity_rows = (lambda s: model.phi(t + s, q + s * v)), model.velocity_rows
-    of_phi = {
-        "phi_rate": ("d phi/dt = phi_q v + phi_t", moving, pace, bounds, 1),
-        "phi_bias": ("d2 phi/dt2 at constant v", moving, pace, bounds, 2),
-        "phi_q": ("the derivative of phi in q", lambda s: model.phi(t, q + s * d), 1.0, everywhere, 1),
-        "phi_t": ("the derivative of phi in t", lambda s: model.phi(t + s, q), length, bounds, 1),
-    }
-    of_psi = {"phi_q": ("the slope of psi in v", lambda s: model.phi_rate(t, q, v + s * d), 1.0, everywhere, 1)}
+    velocity_rows = model.velocity_rows
     holonomic = np.setdiff1d(np.arange(model.m), velocity_rows)
-    for rows, compared in ((holonomic, of_phi), (velocity_rows, of_psi)):
-        for name, (meaning, function, *differenced) in compared.items() if rows.size else ():
-            if not writes(model, name):
-                continue
-            pick = lambda call, rows=rows: lambda *at: call(*at)[rows]  # noqa: E731
-            if wrong := _wrong(pick(written[name]), pick(function), *differenced, pick(size)):
-                if rows is velocity_rows:
-                    raise InputError(
-                        f"{model.name}.psi must be linear in v, with psi_v, if it is written, as its slope: {wrong}, at t = {t:.6g} s"
-                    )
-                advice = VELOCITY_ROWS if name in ("phi_rate", "phi_bias") else ""
-                raise InputError(f"{model.name}.{name} is not {meaning}: {wrong}, at t = {t:.6g} s; correct it{advice}")
+    for one in _compared_of_phi(model, times, q, v, direction) if holonomic.size else ():
+        if writes(model, one.name) and (wrong := _wrong(one, size, holonomic)):
+            advice = VELOCITY_ROWS if one.name in ("phi_rate", "phi_bias") else ""
+            raise InputError(f"{model.name}.{one.name} is not {one.meaning}: {wrong}, at t = {t:.6g} s; correct it{advice}")
+    if (
+        velocity_rows.size
+        and writes(model, "phi_q")
+        and (wrong := _wrong(_compared_of_psi(model, t, q, v, direction), size, velocity_rows))
+    ):
+        raise InputError(f"{model.name}.psi must be linear in v, with psi_v, if it is written, as its slope: {wrong}, at t = {t:.6g} s")
 
 
-def _wrong(call, function, scale, bounds, order, size):
-    """A derivative that is written and differences of the function, in words; empty if they agree, or if the differences are unknown."""
+def _compared_of_phi(model, times, q, v, direction):
+    """[Compared] of the derivatives of phi at the first time and (q, v); those in q along a direction (n,)."""
+    t = times[0]
+    first, last = times.min() - t, times.max() - t
+    duration = last - first or 1.0
+    travel_time = min(duration, _size(q) / _size(v))
+    smooth = model._smooth(t)
+    bounds = smooth if first == last else (max(smooth[0], first), min(smooth[1], last))
+
+    def moving(s):
+        """Phi after the time s at constant v."""
+        return model.phi(t + s, q + s * v)
+
+    return [
+        Compared("phi_rate", "d phi/dt = phi_q v + phi_t", lambda: model.phi_rate(t, q, v), moving, travel_time, bounds),
+        Compared("phi_bias", "d2 phi/dt2 at constant v", lambda: model.phi_bias(t, q, v), moving, travel_time, bounds, order=2),
+        Compared("phi_q", "the derivative of phi in q", lambda: model.phi_q(t, q) @ direction, lambda s: model.phi(t, q + s * direction)),
+        Compared("phi_t", "the derivative of phi in t", lambda: model.phi_t(t, q), lambda s: model.phi(t + s, q), duration, bounds),
+    ]
+
+
+def _compared_of_psi(model, t, q, v, direction):
+    """The Compared of the slope of psi in v, along a direction (n,)."""
+    written = lambda: model.phi_q(t, q) @ direction  # noqa: E731
+    return Compared("phi_q", "the slope of psi in v", written, lambda s: model.phi_rate(t, q, v + s * direction))
+
+
+def _wrong(compared, size, rows=slice(None)):
+    """A derivative that is written and differences, in words; empty if they agree, or if the differences are unknown.
+
+    size(): sizes of what the function is the sum of. rows: the rows that are compared.
+    """
     with suppress(*RAISED):
-        written, (differences_at, doubt) = np.asarray(call()), _known(function, scale, bounds, order, size)
-        off = np.abs(written - differences_at) - DOUBT * doubt - AGREES * np.maximum(np.abs(written), np.abs(differences_at))
+        written = np.asarray(compared.written()[rows])
+        derivative, doubt = _derivative_and_doubt(compared, size, rows)
+        off = np.abs(written - derivative) - DOUBT * doubt - AGREES * np.maximum(np.abs(written), np.abs(derivative))
         worst = int(np.argmax(off))
         if np.isfinite(off).all() and off[worst] > 0.0:
-            return f"row {worst} is {written[worst]:.6g} and by differences {differences_at[worst]:.6g}"
+            return f"row {worst} is {written[worst]:.6g} and by differences {derivative[worst]:.6g}"
     return ""
 
 
-def _known(function, scale, bounds, order, size):
-    """(derivative, uncertainty), (m,) each, by the longest differences of SCALES from which shorter ones differ by round-off alone, or least."""
-    steps = [differences.FIRST_ORDER_STEP * scale * part for part in SCALES]
-    differences_at = [differences.within(function, bounds, step, order) for step in steps]
-    noise = [ROUND * (np.abs(np.asarray(function(0.0))) + size()) / step**order for step in steps]
-    apart = [np.maximum(np.abs(one - other) - blur, 0.0) for one, other, blur in zip(differences_at, differences_at[1:], noise[1:])]
-    doubts = [np.max(apart[k:], axis=0) + noise[k] for k in range(len(apart))]
-    best = int(np.argmin([doubt.sum() if np.isfinite(doubt).all() else np.inf for doubt in doubts]))
-    return differences_at[best], doubts[best]
+def _derivative_and_doubt(compared, size, rows):
+    """Return (derivative, uncertainty), (rows,) each, from differences with the steps of SCALES, longest first.
 
+    Uncertainty of step k: the largest disagreement of the steps from k on, less their round-off, plus the round-off of step k. The step with
+    the least sum of uncertainties is taken.
+    """
+    order = compared.order
 
-ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of a difference, over the size of its function
-TRIES = 8  # random states until forces are finite
-ONE_SIDED = 8  # factor of the round-off of a difference beside a kink
-FINER = 1.0 / 8.0  # of the steps of differences, which are repeated with it: beside a kink the results differ
+    def function(s):
+        """The compared rows of the function."""
+        return compared.function(s)[rows]
+
+    steps = [differences.FIRST_ORDER_STEP * compared.scale * part for part in SCALES]
+    derivatives = [differences.within(function, compared.bounds, step, order) for step in steps]
+    round_off = [DIFFERENCE_ROUND_OFF * (np.abs(np.asarray(function(0.0))) + size()[rows]) / step**order for step in steps]
+    disagreements = [
+        np.maximum(np.abs(longer - shorter) - blur, 0.0) for longer, shorter, blur in zip(derivatives, derivatives[1:], round_off[1:])
+    ]
+    doubts = [np.max(disagreements[k:], axis=0) + round_off[k] for k in range(len(disagreements))]
+    chosen = int(np.argmin([doubt.sum() if np.isfinite(doubt).all() else np.inf for doubt in doubts]))
+    return derivatives[chosen], doubts[chosen]
 
 
 @named_keywords
@@ -308,8 +378,8 @@ def check_derivatives(
     )
     lam = random.standard_normal(model.m) if lam is None else _vector("lam", lam, model.m)
     pairs = _of_forces(model, t, q, v, a, lam) | _of_phi(model, t, q, v, lam) | _of_parameters(model, t, q, v, a, lam)
-    force = ROUND_OFF * np.abs(Model.residual(model, t, q, v, a, lam)).max()
-    blur = {"force_v": force, "tangent, v": force, "phi_t": ONE_SIDED * ROUND_OFF * np.abs(model.phi(t, q)).max(initial=0.0)}
+    force = JACOBIAN_ROUND_OFF * np.abs(Model.residual(model, t, q, v, a, lam)).max()
+    blur = {"force_v": force, "tangent, v": force, "phi_t": ONE_SIDED * JACOBIAN_ROUND_OFF * np.abs(model.phi(t, q)).max(initial=0.0)}
     for name in model.parameters:
         blur[f"residual_p {name}"] = force / (np.abs(model.parameter(name)).min() or 1.0)
     for name, slope, difference, doubt in _of_energies(model, t, q):
@@ -373,16 +443,25 @@ def _of_energies(model, t, q):
         if force is None:
             continue
         force = (reach * force).ravel()
-        moved = lambda s, energy=energy, x=x, reach=reach: np.array([energy(x + reach * s.reshape(x.shape))])  # noqa: E731
+
+        def moved(s, energy=energy, x=x, reach=reach):
+            """The energy, (1,), after a move of s sizes."""
+            return np.array([energy(x + reach * s.reshape(x.shape))])
+
         slope, doubt = _slope(moved, force.size)
-        doubt = ROUND_OFF * max(np.abs(moved(np.zeros(force.size))).max(), np.abs(force).max()) + doubt
+        doubt = JACOBIAN_ROUND_OFF * max(np.abs(moved(np.zeros(force.size))).max(), np.abs(force).max()) + doubt
         yield f"energy of {part.name}" if model.is_scene else "potential", slope, -force, doubt
 
 
 def _slope(function, size):
     """(slope at 0 of a function of (size,) by differences, (size,), its uncertainty from differences with finer steps)."""
-    one, finer = (differences.jacobian(lambda s, part=part: function(part * s), np.zeros(size), 1)[0] / part for part in (1.0, FINER))
-    return one, DOUBT * np.abs(one - finer).max()
+
+    def slope_with(part):
+        """The slope by differences whose steps are this part of the usual ones."""
+        return differences.jacobian(lambda s: function(part * s), np.zeros(size), 1)[0] / part
+
+    slope, finer = slope_with(1.0), slope_with(FINER)
+    return slope, DOUBT * np.abs(slope - finer).max()
 
 
 def _drawn(model, t, random, state):
@@ -390,7 +469,7 @@ def _drawn(model, t, random, state):
     for _ in range(TRIES):
         q, v, a = (random.standard_normal(model.n) if x is None else x for x in state)
         with np.errstate(all="ignore"):
-            sizes = model.force(t, q, v), *(energy(x) or 0.0 for _, energy, _, x, _ in energies(model, t, q))
+            sizes = model.force(t, q, v), *(one.energy(one.x) or 0.0 for one in energies(model, t, q))
         if all(np.isfinite(size).all() for size in sizes):
             break
     return q, v, a

@@ -33,10 +33,10 @@ class Compiled:
         self.own, self.equations = OwnData(model, functions.values(), HELPERS if own else ()), equations
         kinds = {"t": ("t",), "q": ("b", (n,)), "v": ("c", (n,)), "a": ("d", (n,)), "lam": ("e", (m,))}
         if own and "rates" in functions:
-            kinds["x"] = own.read(self.own, functions["rates"], kinds, whole)
+            kinds["x"] = own.states_source(self.own, functions["rates"], kinds, whole)
         self.addresses = {}
         for name, function in functions.items():
-            extra = own.stored(name, SHAPES[name], m, self.own, functions.get("rates")) if own and whole else {}
+            extra = own.store_source(name, SHAPES[name], m, self.own, functions.get("rates")) if own and whole else {}
             self.addresses[name] = self.own.c_function(function, kinds, shape_of(name, equations), **extra)
         if whole:
             self.addresses.pop("rates", None)  # compiled alone for messages in its name, and within the other functions

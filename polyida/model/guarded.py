@@ -3,7 +3,6 @@
 from dataclasses import replace
 from itertools import product
 from traceback import extract_tb
-from types import MethodType
 
 import numpy as np
 
@@ -66,9 +65,11 @@ def require_functions(model, t, q, v):
 
 def require_written(model):
     """Raise InputError if a guarded model does not write mass and force, and with m > 0 phi and phi_q."""
-    for name in ("mass", "force", *("phi", "phi_q") * bool(model.m)) if not model.is_scene else ():
+    if model.is_scene:
+        return
+    for name in ("mass", "force", "phi", "phi_q") if model.m else ("mass", "force"):
         if not writes(model, name):
-            rows = f"m = {model.m} constraints, but " * (name in OF_CONSTRAINTS)
+            rows = f"m = {model.m} constraints, but " if name in OF_CONSTRAINTS else ""
             raise InputError(f"{model.name}: {rows}its class gives no {name}({', '.join(arguments_of(name))})")
 
 
@@ -111,19 +112,23 @@ class Equations(Model):
         self.own_states = None
         if "rates" in self.written_names:
             self._add_states(OwnStates(self.name, user, self.n, self.written_names))
-        self.mass_calls, self.constant_mass = 0, None  # of `mass`; M at its last check if it is constant
+        self.mass_calls = 0  # of `mass`
+        self.constant_mass = None  # M at its last check if it is constant
         self.checked_functions = self._checked_functions()
-        if self.own_states:
-            self.own_states.rates = self.checked_functions["rates"]
-        else:
-            self._ask_directly()
+        self._take_functions()
 
-    def _ask_directly(self):
-        """Without states, put the user's checked functions and Model's defaults in place of the methods below: these take 0.5 us more a call."""
-        for name in CHECKED:
-            function = self.checked_functions.get(name)
-            if name != "mass" or (function and self.needs.mass_varies):  # `mass` itself checks a constant M
-                setattr(self, name, function or MethodType(getattr(Model, name), self))
+    def _take_functions(self):
+        """Make the user's checked functions those of this object, for the whole model; a constant mass is asked for by `_constant_mass`."""
+        for name, function in self.checked_functions.items():
+            if self.own_states is None:
+                setattr(self, name, function)
+            elif name == "rates":
+                self.own_states.rates = function
+            else:
+                setattr(self, name, self.own_states.in_whole_model(name, function))
+        self.written_mass = self.mass  # M by the user's function, also if `needs` says that it is constant
+        if "mass" in self.checked_functions and not self.needs.mass_varies:
+            self.mass = self._constant_mass
 
     def _take_sizes(self):
         """Set n, m and the numbers of the velocity rows. Raises InputError for wrong ones."""
@@ -180,19 +185,8 @@ class Equations(Model):
             raise AttributeError(name)
         return getattr(self.user, name)
 
-    def _ask(self, name, *at):
-        """The array of a checked function for the whole model; Model's default if the user gives none."""
-        function = self.checked_functions.get(name)
-        if function is None:
-            return getattr(super(), name)(*at)
-        if self.own_states is None:
-            return function(*at)
-        return self.own_states.of_whole(name, function(*self.own_states.arguments(name, at)), at)
-
-    def mass(self, q):
-        """Return M, (n, n); a constant one is evaluated and checked only at the 1st, 2nd, 4th, 8th ... call."""
-        if self.needs.mass_varies or "mass" not in self.checked_functions:
-            return self._ask("mass", q)
+    def _constant_mass(self, q):
+        """Return M, (n, n), evaluated and checked only at the 1st, 2nd, 4th, 8th ... call."""
         if self._mass_is_due():
             M, before = self.written_mass(q), self.constant_mass
             self._require_mass(M)
@@ -202,76 +196,18 @@ class Equations(Model):
             self.constant_mass = M
         return self.constant_mass
 
-    def written_mass(self, q):
-        """M by the user's function, also if `needs` says that it is constant."""
-        return self._ask("mass", q)
-
-    def force(self, t, q, v):
-        """Return g, (n,), with the rates of states, of the user's checked functions."""
-        return self._ask("force", t, q, v)
-
-    def residual(self, t, q, v, a, lam):
-        """Return `r = M a + g + phi_q^T lam`, (n,), of the user's function or of Model."""
-        return self._ask("residual", t, q, v, a, lam)
-
-    def phi(self, t, q):
-        """Return phi, (m,), of the user's checked function."""
-        return self._ask("phi", t, q)
-
-    def phi_q(self, t, q):
-        """Return phi_q, (m, n), of the user's checked function or of Model."""
-        return self._ask("phi_q", t, q)
-
-    def phi_t(self, t, q):
-        """Return phi_t, (m,), of the user's checked function or of Model."""
-        return self._ask("phi_t", t, q)
-
-    def phi_rate(self, t, q, v):
-        """Return `phi_q v + phi_t`, (m,), of the user's checked function or of Model."""
-        return self._ask("phi_rate", t, q, v)
-
-    def phi_bias(self, t, q, v):
-        """Return phi_bias, (m,), of the user's checked function or of Model."""
-        return self._ask("phi_bias", t, q, v)
-
-    def phi_rate_q(self, t, q, v):
-        """Return d(phi_q v + phi_t)/dq, (m, n), of the user's checked function or of Model."""
-        return self._ask("phi_rate_q", t, q, v)
-
-    def phi_bias_q(self, t, q, v):
-        """Return d(phi_bias)/dq, (m, n), of the user's checked function or of Model."""
-        return self._ask("phi_bias_q", t, q, v)
-
-    def force_q(self, t, q, v):
-        """Return dg/dq, (n, n), of the user's checked function or of Model."""
-        return self._ask("force_q", t, q, v)
-
-    def force_v(self, t, q, v):
-        """Return dg/dv, (n, n), of the user's checked function or of Model."""
-        return self._ask("force_v", t, q, v)
-
-    def mass_a_q(self, q, a):
-        """Return d(M a)/dq, (n, n), of the user's checked function or of Model."""
-        return self._ask("mass_a_q", q, a)
-
-    def reaction_q(self, t, q, lam):
-        """Return d(phi_q^T lam)/dq, (n, n), of the user's checked function or of Model."""
-        return self._ask("reaction_q", t, q, lam)
-
-    def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
-        """Return `c_m M + c_v dr/dv + c_q dr/dq`, (n, n), of the user's checked function or of Model."""
-        return self._ask("tangent", t, q, v, a, lam, c_m, c_v, c_q)
-
     def call_all(self, t, q, v):
         """Evaluate mass, force and, with constraints, phi and phi_q once, so that wrong results raise an error."""
-        self.mass(q), self.force(t, q, v)
+        self.mass(q)
+        self.force(t, q, v)
         if self.m:
-            self.phi(t, q), self.phi_q(t, q)
+            self.phi(t, q)
+            self.phi_q(t, q)
 
     def _mass_is_due(self):
         """True at the 1st, 2nd, 4th, 8th ... call."""
         self.mass_calls += 1
-        return not self.mass_calls & (self.mass_calls - 1)
+        return self.mass_calls.bit_count() == 1
 
     def _examined_mass(self, function):
         """The user's function of an M that varies; M is checked whenever it is due."""
@@ -418,6 +354,6 @@ class Equations(Model):
     def not_finite(self):
         """The functions that last returned what is not finite for finite arguments, in words; or ""."""
         if self.own_states and self.own_states.why:
-            return f"the algebraic states of {self.name} have no solution: {self.own_states.why.replace('start()', 'x0')}"
+            return f"the algebraic states of {self.name} have no solution: {self.own_states.why}"
         bad = [function.label for function in self.checked_functions.values() if not function.is_finite]
         return f"{' and '.join(bad)} gave numbers that are not finite" if bad else ""

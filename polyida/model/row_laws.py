@@ -18,9 +18,12 @@ from polyida.linear.lu import SingularSystem, dense
 from polyida.model import Model
 from polyida.validation import is_number, is_whole, named_keywords
 
-TAKEN = (  # attributes and functions with defaults that a model of some rows takes from the whole one
-    "extent", "reference", "free_fall", "flexible", "uniform_units", "state_columns", "state_units", "state_start", "state_speed", "named_profiles",
-    "motor_profiles", "path_profiles", "force_q", "force_v", "mass_a_q", "initial_velocity", "rejection_reason", "kinks", "samples", "sampled",
+COPIED = (  # attributes that a model of some rows has from the whole one, because Model has defaults of them
+    "extent", "reference", "free_fall", "flexible", "uniform_units", "state_columns", "state_units", "state_start", "state_speed",
+    "named_profiles", "motor_profiles", "path_profiles",
+)  # fmt: skip
+INDEPENDENT_OF_ROWS = (  # functions of Model, taken from the whole model
+    "force_q", "force_v", "mass_a_q", "initial_velocity", "rejection_reason", "kinks", "samples", "sampled",
 )  # fmt: skip
 MOST = 30  # iterations for the force of friction that depends on multipliers
 
@@ -101,7 +104,7 @@ def require_no_laws(part, model, why):
 
 
 def violation(model, values):
-    """(m,) of what violates phi = 0 and the gaps' phi >= 0, from phi of all rows."""
+    """Return what violates phi = 0 and the gaps' phi >= 0, (m,): phi of all rows, of gaps its negative part."""
     gaps = [law.row for law in model.row_laws if law.is_contact]
     if gaps:
         values = np.array(values)
@@ -110,21 +113,29 @@ def violation(model, values):
 
 
 class WithRows(Model):
-    """A model of which only some rows of phi are equations; the others are left out."""
+    """A model of which only some rows of phi are equations; the others are left out.
+
+    whole: the model with all rows. kept (m,): the numbers of the rows that are equations. small: True if matrices are dense, of a small scene.
+    """
 
     checked = True
 
     def __init__(self, whole, rows):
         """whole: the model with all rows. rows: numbers of those that are equations."""
-        self.whole, self.kept = whole, np.asarray(rows, np.int64)
-        self.n, self.m, self.k, self.needs = whole.n, len(self.kept), whole.k, whole.needs
+        self.whole = whole
+        self.kept = np.asarray(rows, np.int64)
+        self.columns = self.kept
+        self.n = whole.n
+        self.m = len(self.kept)
+        self.k = whole.k
+        self.needs = whole.needs
         self.velocity_rows = np.flatnonzero(np.isin(self.kept, whole.velocity_rows))
-        self.columns, self.small = self.kept, whole.is_scene and whole.small  # small: True if matrices are dense
-        for name in TAKEN:
+        self.small = whole.is_scene and whole.small
+        for name in (*COPIED, *INDEPENDENT_OF_ROWS):
             setattr(self, name, getattr(whole, name))
 
     def __getattr__(self, name):
-        """Further attributes of the whole model."""
+        """Any other attribute is that of the whole model."""
         if name == "whole":
             raise AttributeError(name)
         return getattr(self.whole, name)
@@ -204,23 +215,32 @@ def pressing(model, laws):
 
 
 class Slipping:
-    """Mixed into a model in which rows of friction slip: each acts with `lam = sign (c + mu |lam_on|)`.
+    """Mixed into a model in which rows of friction slip: their forces follow from the multipliers of the rows that press.
 
-    On a contact it is `sign (c - mu lam_on)`, which is smooth where the contact begins to pull, so that its end can be located. origin: the model
-    with all rows, of which `columns` are equations. slips: (RowLaw, sign of its rate) each.
+    Friction of slip i of k is `f_i = s_i (c_i + mu_i |lam_on,i|)`, s_i the sign of the slip rate. On a contact it is `s_i (c_i - mu_i lam_on,i)`,
+    which is smooth where the contact begins to pull, so that its end can be located. The multipliers of the equations are
+    `lam = lam_0 + Y f`, lam_0 those without friction, so that f solves `f - s mu |lam_0 + Y f| = s c`. The solution is unique while the
+    determinant of `D = I - s mu (d|lam_on|/dlam) Y` is positive.
     """
 
     def use_slips(self, origin, slips):
         """Set the model of all rows and its slips, and the numbers of their laws that forces need."""
-        self.origin, self.slips, contacts = origin, slips, [law.row for law in origin.row_laws if law.is_contact]
+        self.origin = origin  # the model with all rows, of which `columns` are equations
+        self.slips = slips  # [(RowLaw, sign of its rate)]
+        contacts = [law.row for law in origin.row_laws if law.is_contact]
+        # (k,): True if a contact presses
         self.on_contact = [len(law.on) == 1 and law.on[0] in contacts for law, _ in slips]
-        self.rubbing = [law.row for law, _ in slips]
-        self.constant, self.slope = np.array([(sign * law.constant, sign * law.mu) for law, sign in slips]).T
-        self.presses = pressing(origin, [law for law, _ in slips])
-        self.last_masses = None  # its SlippingMasses are asked for several times at one position
+        self.slipping_rows = [law.row for law, _ in slips]  # (k,), numbers among the rows of origin
+        # s c and s mu, (k,) each
+        self.signed_constant, self.signed_mu = np.array([(sign * law.constant, sign * law.mu) for law, sign in slips]).T
+        self.presses = pressing(origin, [law for law, _ in slips])  # (rows of origin, k), 1 for the rows that press a slip
+        self.last_masses = None  # the last SlippingMasses: several are asked for at one position
 
     def pressures(self, lam, presses):
-        """(|lam_on| (k,) of the slips, its slopes by lam (k, m)) at lam (m,); signed on a contact. presses (m, k): 1 if a row presses."""
+        """(|lam_on| (k,) of the slips, its slopes by lam (k, m)) at multipliers, (m,); those of a contact have signs.
+
+        presses (m, k): 1 for the rows that press a slip, as of `pressing`.
+        """
         sizes = np.where(self.on_contact, 1.0, np.sqrt(lam**2 @ presses))
         shares = np.where(self.on_contact, -1.0, lam[:, None] / np.where(sizes > 0.0, sizes, 1.0)) * presses
         return np.where(self.on_contact, -(lam @ presses), sizes), shares.T
@@ -234,14 +254,14 @@ class Slipping:
         result = np.zeros((*np.shape(lam)[:-1], self.origin.m))
         result[..., self.columns] = lam
         pressures = np.where(self.on_contact, -(result @ self.presses), np.sqrt(result**2 @ self.presses))
-        result[..., self.rubbing] = self.constant + self.slope * pressures
+        result[..., self.slipping_rows] = self.signed_constant + self.signed_mu * pressures
         return result
 
     def columns_of_forces(self, t, q, lam):
-        """The rows of phi_q, with the friction that grows with their multipliers."""
+        """Return (dr/dlam)^T, (m, n): the rows of phi_q, with the friction that grows with their multipliers."""
         B = dense(self.origin.phi_q(t, q))
-        shares = self.slope[:, None] * self.pressures(self.forces_of_all(lam), self.presses)[1]
-        return B[self.columns] + shares[:, self.columns].T @ B[self.rubbing]
+        shares = self.signed_mu[:, None] * self.pressures(self.forces_of_all(lam), self.presses)[1]
+        return B[self.columns] + shares[:, self.columns].T @ B[self.slipping_rows]
 
     def mass_system(self, t, q):
         """Return the SlippingMasses at (t, q); the last one is kept, as it is asked for several times."""
@@ -250,44 +270,49 @@ class Slipping:
         return self.last_masses
 
     def uniqueness(self, state, lam):
-        """What is positive while the friction has a unique force at a state if rows press in the direction of lam, 1 where friction is small.
+        """Return det D at the multipliers lam (m,), at the position of a state; it is positive while the friction has a unique force.
 
-        It is the determinant of its matrix. Rows of equations may also press in the other direction. If their force has no solution there, it
-        ends where they do not press any more, and the share of lam that presses without friction may be the smaller number.
+        If the rows that press are not all contacts and det D at -lam is not positive, return the smallest of that and, of each slip,
+        `lam_0 . lam / (lam . lam)` on the rows that press: the share of lam that presses without friction.
         """
         masses = self.mass_system(state.t, state.q)
         least = masses.determinant(lam)
         if all(self.on_contact) or masses.determinant(-lam) > 0.0:
             return least
-        return min([least, *self._along(self._consistent(state, masses.system), lam)])
+        return min([least, *self._shares(self._consistent(state, masses.system), lam)])
 
     def contraction(self, t, q):
-        """The most by which friction answers a change of itself, through what presses it; below 1 its force is unique in any direction."""
+        """Return max_i |mu_i| sum_j |Y_on(i),j|, the largest change of friction that a unit change of friction causes through what presses.
+
+        Below 1 the force is unique for any direction of lam.
+        """
         masses = self.mass_system(t, q)
         sizes = np.sqrt(masses.presses.T @ masses.Y**2).sum(axis=1)
-        return float((np.abs(self.slope) * sizes).max(initial=0.0))
+        return float((np.abs(self.signed_mu) * sizes).max(initial=0.0))
 
     def _consistent(self, state, masses):
-        """Consistent multipliers at a state, of a system of masses with or without friction."""
+        """Consistent multipliers at a state, (m,), of a system of masses with or without friction."""
         return masses.solve(self.force(state.t, state.q, state.v), self.phi_bias(state.t, state.q, state.v))[1]
 
-    def _along(self, lam, other):
-        """The parts of lam along others, for each of the rows that press."""
+    def _shares(self, lam, other):
+        """For each slip `lam . other / (other . other)` on the rows that press it; slips with other = 0 there are left out."""
         on = [np.isin(self.columns, law.on) for law, _ in self.slips]
         return [float(lam[rows] @ other[rows] / square) for rows in on if (square := other[rows] @ other[rows])]
 
-    def agrees(self, state):
-        """True if the rows that press do so in the direction of the consistent forces at a state."""
-        return min(self._along(self._consistent(state, self.mass_system(state.t, state.q)), state.lam), default=1.0) > 0.0
+    def press_direction_is_consistent(self, state):
+        """True if state.lam and the consistent multipliers at the state have a positive scalar product on the rows that press each slip."""
+        consistent = self._consistent(state, self.mass_system(state.t, state.q))
+        return min(self._shares(consistent, state.lam), default=1.0) > 0.0
 
-    def pressed(self, state, lam):
-        """True if all rows that press do so in the direction of lam at a state, too, or would if friction were small."""
-        return min(self._along(self._consistent(state, self.mass_system(state.t, state.q).system), lam), default=1.0) > 0.0
+    def would_press_without_friction(self, state, lam):
+        """True if lam and the multipliers without friction at the state have a positive scalar product on the rows that press each slip."""
+        without_friction = self._consistent(state, self.mass_system(state.t, state.q).system)
+        return min(self._shares(without_friction, lam), default=1.0) > 0.0
 
     def rubbing_rows(self, t, q):
         """The rows of phi_q of the friction that slips, (k, n)."""
         origin = self.origin
-        return origin.phi_q_rows(t, q, self.rubbing) if origin.is_scene else dense(origin.phi_q(t, q)[self.rubbing])
+        return origin.phi_q_rows(t, q, self.slipping_rows) if origin.is_scene else dense(origin.phi_q(t, q)[self.slipping_rows])
 
     def singular(self):
         """The SingularSystem of friction without a unique force."""
@@ -314,33 +339,41 @@ class Slips(Slipping, WithRows):
 
 
 class SlippingMasses:
-    """The system of M and phi_q with friction that is proportional to the multipliers, `f = sign mu |lam_on|`, lam linear in f: Newton's method.
+    """The system of M and B = phi_q in which friction of the k slips is proportional to what presses, `f = s mu |lam_on|`.
 
-    system: the same without friction.
+    system: the same without friction. presses (m, k): of the equations, as of `pressing`. X (n, k), Y (m, k): accelerations and multipliers
+    that unit friction of each slip causes; so lam = dlam + Y f.
     """
 
     def __init__(self, model, system, t, q):
-        """Take the system without friction at (t, q), and solve it for unit forces along each row that slips."""
-        self.model, self.system, self.t, self.q = model, system, t, np.array(q)
-        rows, self.presses = model.rubbing_rows(t, q), model.presses[model.columns]
+        """Take the system without friction of a Slipping model at (t, q)."""
+        self.model = model
+        self.system = system
+        self.t = t
+        self.q = np.array(q)
+        self.presses = model.presses[model.columns]
+        rows = model.rubbing_rows(t, q)
         self.X, self.Y = system.solve(rows.T, np.zeros((model.m, len(rows))))
 
     def slope(self, shares):
-        """d(f - mu |lam_on|)/df at lam = dlam + Y f; shares: slopes of |lam_on| by lam."""
-        return np.eye(len(shares)) - self.model.slope[:, None] * (shares @ self.Y)
+        """Return D = d(f - s mu |lam_on|)/df, (k, k). shares (k, m): slopes of |lam_on| by lam."""
+        return np.eye(len(shares)) - self.model.signed_mu[:, None] * (shares @ self.Y)
 
     def determinant(self, lam):
-        """Determinant of `slope` at multipliers lam (m,)."""
+        """Return the determinant of D at multipliers lam (m,)."""
         return float(np.linalg.det(self.slope(self.model.pressures(lam, self.presses)[1])))
 
     def solve(self, r, phi):
-        """(dq, dlam). Raises SingularSystem if friction alone could hold the motion: no unique force."""
+        """Solve `M dq + B^T dlam + friction = -r`, `B dq = -phi` by Newton's method on f; return (dq, dlam).
+
+        Raises SingularSystem if friction alone could hold the motion: no unique force.
+        """
         dq, dlam = self.system.solve(r, phi)
-        f = np.zeros(len(self.model.slope))
+        f = np.zeros(len(self.model.signed_mu))
         for _ in range(MOST):
             lam = dlam + self.Y @ f
             sizes, shares = self.model.pressures(lam, self.presses)
-            error = f - self.model.slope * sizes
+            error = f - self.model.signed_mu * sizes
             if np.abs(error).max() <= 1e-14 * max(np.abs(f).max(), np.abs(f - error).max()):
                 return dq + self.X @ f, lam
             try:

@@ -5,6 +5,7 @@ equation of motion. Algebraic states are solved for where forces are evaluated. 
 """
 
 import ctypes
+from functools import cache, partial
 
 import numpy as np
 from numba import carray
@@ -24,8 +25,12 @@ ROUND, CLOSE = 1e-13, 1e-9  # relative corrections of which the next one, or the
 FAST = 1e-3  # ratio of corrections with which a slope is used again
 SINGULAR = 1e-7  # least pivot of the slope, with rows and columns of size one, of a regular slope
 MOST, LEAST = 50, 2.0**-12  # iterations, and share of a step
-FOUND, FLAT, LOST = range(3)  # how it ended
-WHY = "", "their slope d rates/ds is singular", "Newton's method from start() does not converge"
+FOUND, SINGULAR_SLOPE, DIVERGED = range(3)  # how Newton's method ended
+WHY = (  # the text of each; {start}: where it began
+    "",
+    "their slope d rates/ds is singular",
+    "Newton's method from {start} does not converge",
+)
 LAST = ("rates", "force", "residual", "powers")  # get the states as their last argument
 EXCLUDED = ("tangent", "force_q", "force_v", "residual_p", "mass_system", "step_matrix", "increments")  # they know nothing of states
 
@@ -38,8 +43,11 @@ def evaluate(function, data, t, places, v, values, outputs, rates):
 
 
 @part
-def largest(change, values, first, sizes):
-    """Largest of the changes, in sizes, relative to the algebraic states and their sizes."""
+def relative_size(change, values, first, sizes):
+    """Return max |change_i| sizes_i / (sizes_i + |s_i|).
+
+    change (count,): in sizes. s: the algebraic states, of `values` from number `first` on.
+    """
     size = 0.0
     for i in range(change.shape[0]):
         size = max(size, abs(change[i]) * sizes[i] / (sizes[i] + abs(values[first + i])))
@@ -65,18 +73,21 @@ def fill_slope(asked, values, first, sizes, rates, behind, slope):
 
 
 @part
-def factor_rows(slope, left, rows, pivots, change):
-    """Factor the slope, its rows divided by their largest entries `rows`, and set change = -slope^-1 left. False if it is singular."""
-    for i in range(left.shape[0]):
+def factor_rows(slope, residual, rows, pivots, change):
+    """Factor the slope, its rows divided by their largest entries `rows`, and set change = -slope^-1 residual.
+
+    Returns False if the slope is singular.
+    """
+    for i in range(residual.shape[0]):
         rows[i] = 0.0
-        for j in range(left.shape[0]):
+        for j in range(residual.shape[0]):
             rows[i] = max(rows[i], abs(slope[i, j]))
-        change[i] = -left[i] / rows[i] if rows[i] > 0.0 else np.nan
-        for j in range(left.shape[0]):
+        change[i] = -residual[i] / rows[i] if rows[i] > 0.0 else np.nan
+        for j in range(residual.shape[0]):
             slope[i, j] /= rows[i]
     if not factor(slope, pivots):
         return False
-    for i in range(left.shape[0]):
+    for i in range(residual.shape[0]):
         if not abs(slope[i, i]) < 1.0 / SINGULAR:
             return False
     solve(slope, pivots, change)
@@ -85,52 +96,65 @@ def factor_rows(slope, left, rows, pivots, change):
 
 @shared
 def fill_algebraic(function, data, t, places, v, outputs, values, first, sizes, rates):
-    """Fill the algebraic states of `values`, from number `first` on, and the rates: Newton's method with shorter steps where corrections do not fall.
+    """Fill the algebraic states s of `values`, from number `first` on, and the rates, so that g(s) = 0, g: the last rates.
 
-    function, data, t, places, v, outputs: a C function of the rates, and its arguments beside `values` and rates. sizes: typical sizes of the
-    algebraic states; `values` holds a guess of them. Returns how it ended.
+    Newton's method: ds = -g_s^-1 g, s += share ds. share is 1, and halved until the next correction, -g_s^-1 g at the new s with the same
+    slope g_s, is smaller than ds (natural monotonicity test: Deuflhard, Newton Methods for Nonlinear Problems, 2004). The same slope is used
+    again while corrections fall by the factor FAST.
+
+    function, data, t, places, v, outputs: a C function of the rates, and its arguments beside `values` and rates. sizes (count,): typical sizes
+    of the algebraic states; `values` holds a guess of them. Returns how it ended: FOUND, SINGULAR_SLOPE or DIVERGED.
     """
-    count, behind = sizes.shape[0], np.zeros_like(rates)
+    count = sizes.shape[0]
+    behind = np.zeros_like(rates)
     free, slope, pivots = values[first : first + count], np.empty((count, count)), np.empty(count, np.int64)
-    change, left, rows = np.empty(count), np.empty(count), np.empty(count)
+    change = np.empty(count)  # the correction ds, over sizes
+    residual = np.empty(count)  # g
+    following = residual  # the same memory: the next correction, over sizes
+    rows = np.empty(count)  # largest entry of each row of the slope
     evaluate(function, data, t, places, v, values, outputs, rates)
     for i in range(count):
-        left[i] = rates[first + i]
+        residual[i] = rates[first + i]
     for _ in range(MOST):
         fill_slope((function, data, t, places, v, outputs), values, first, sizes, rates, behind, slope)
-        if not factor_rows(slope, left, rows, pivots, change):
-            return FLAT
+        if not factor_rows(slope, residual, rows, pivots, change):
+            return SINGULAR_SLOPE
         ratio = 0.0
         while ratio <= FAST:
-            share, moved, before, size = 1.0, 0.0, 0.0, 0.0
-            while True:  # until the next correction, left, is smaller than this one
+            share, share_taken = 1.0, 0.0
+            correction, next_correction = 0.0, 0.0  # relative sizes, in one norm, which depends on s
+            while True:  # until the next correction is smaller than this one
                 for i in range(count):
-                    free[i] += (share - moved) * change[i] * sizes[i]
+                    free[i] += (share - share_taken) * change[i] * sizes[i]
                 evaluate(function, data, t, places, v, values, outputs, rates)
                 for i in range(count):
-                    left[i] = -rates[first + i] / rows[i]
-                solve(slope, pivots, left)
-                size, before = largest(left, values, first, sizes), largest(change, values, first, sizes)  # in one norm, which depends on s
-                if size <= max(CLOSE, (1.0 - 0.25 * share) * before):
+                    following[i] = -rates[first + i] / rows[i]
+                solve(slope, pivots, following)
+                next_correction = relative_size(following, values, first, sizes)
+                correction = relative_size(change, values, first, sizes)
+                if next_correction <= max(CLOSE, (1.0 - 0.25 * share) * correction):
                     break
-                moved, share = share, 0.5 * share
+                share_taken, share = share, 0.5 * share
                 if share < LEAST:
-                    return LOST
-            if size <= ROUND or before <= CLOSE:
+                    return DIVERGED
+            if next_correction <= ROUND or correction <= CLOSE:
                 for i in range(count):
-                    free[i] += left[i] * sizes[i]
+                    free[i] += following[i] * sizes[i]
                 evaluate(function, data, t, places, v, values, outputs, rates)
                 return FOUND
-            put(1.0, left, change)
-            ratio = size / before if share == 1.0 else 1.0  # a shorter step does not show how good the slope is
+            put(1.0, following, change)
+            ratio = next_correction / correction if share == 1.0 else 1.0  # a shorter step does not show how good the slope is
         for i in range(count):
-            left[i] = rates[first + i]
-    return LOST
+            residual[i] = rates[first + i]
+    return DIVERGED
 
 
 @part
 def with_algebraic(function, data, t, q, v, states, guess, sizes):
-    """The states of an own model with the algebraic ones behind them; nan for these without a solution."""
+    """Return the states (k,) of an own model with the algebraic ones behind them, (total,); these are nan without a solution.
+
+    guess (total - k,): where Newton's method begins.
+    """
     k, s = states.shape[0], np.empty(states.shape[0] + guess.shape[0])
     for i in range(s.shape[0]):
         s[i] = states[i] if i < k else guess[i - k]
@@ -141,7 +165,7 @@ def with_algebraic(function, data, t, q, v, states, guess, sizes):
 
 @part
 def states_at(numbers, sizes):
-    """The states whose velocities are at a pointer."""
+    """Return the states, velocities times sizes, (k,), of the velocities at an address."""
     x, v = np.empty(sizes.shape[0]), carray(numbers, sizes.shape)
     for i in range(x.shape[0]):
         x[i] = v[i] * sizes[i]
@@ -150,7 +174,10 @@ def states_at(numbers, sizes):
 
 @part
 def fill_states(out, mass, a, rates, factors):
-    """Fill r of the states: -rates times factors, plus mass times their accelerations."""
+    """Fill out (k,), the rows of states in r: `mass a - rates factors`, factors = mass over sizes.
+
+    mass is 0 for the force, which is without `mass a`.
+    """
     for i in range(out.shape[0]):
         out[i] = -rates[i] * factors[i]
         if mass != 0.0:
@@ -169,8 +196,11 @@ def embed(whole, found, corner):
 HELPERS = ("with_algebraic", with_algebraic), ("states_at", states_at), ("fill_states", fill_states), ("embed", embed)  # of source texts
 
 
-def solved(f, s, sizes):
-    """(the s, (k,), with f(s) = 0, "") or (nan, why there is none), of a Python function f (k,) -> (k,). s: the guess; sizes (k,)."""
+def solved(f, s, sizes, begun_at="start()"):
+    """(the s, (k,), with f(s) = 0, "") or (nan, why there is none), of a Python function f (k,) -> (k,).
+
+    s: the guess, named `begun_at` in messages. sizes (k,): typical sizes of s.
+    """
     s, raised, vector = np.array(s, float), [], ctypes.c_double * len(s)
 
     def called(*arguments):
@@ -186,14 +216,20 @@ def solved(f, s, sizes):
     ended = fill_algebraic(ctypes.cast(callback, ctypes.c_void_p).value, 0, 0, 0, 0, 0, s, 0, np.array(sizes, float), np.empty_like(s))
     if raised:
         raise raised[0]
-    return (s if ended == FOUND else np.full(len(s), np.nan)), WHY[ended]
+    return (s if ended == FOUND else np.full(len(s), np.nan)), WHY[ended].format(start=begun_at)
+
+
+@cache
+def cuts_of(name):
+    """For each argument of a function of Model: True for q, v and a, which have the coordinates of states behind the user's."""
+    return tuple(argument in ("q", "v", "a") for argument in arguments_of(name))
 
 
 class OwnStates:
-    """The states of a user's model of n coordinates: k, and behind them `total - k` algebraic ones.
+    """The states of a user's model of n coordinates: k with rates, and behind them `total - k` algebraic ones.
 
-    start, sizes (total,): x0 and sizes_x. why: why the last algebraic states have no solution, or "". mass: of the coordinates whose
-    velocities they are; the mean one of the model at q = 0, for norms.
+    In q, v and a of the whole model the coordinates of the k states are behind the user's n. `in_whole_model` makes of a user's function one
+    of the whole model.
     """
 
     def __init__(self, name, user, n, written):
@@ -202,16 +238,24 @@ class OwnStates:
         if not (is_whole(k, 0) and is_whole(algebraic, 0) and k + algebraic > 0):
             given = f"k = {k!r} and algebraic = {algebraic!r}" if algebraic else f"k = {k!r}"
             raise InputError(f"{name} has rates: {given} must be the whole number of its states, at least 1")
-        self.k, self.total, self.own, self.rates, self.why, self._last = int(k), int(k + algebraic), slice(0, n), None, "", ((), ())
-        self.start = self._numbers(name, "x0", user.x0, 0.0, -np.inf, "finite")
-        self.sizes = self._numbers(name, "sizes_x", user.sizes_x, 1.0, 0.0, "positive")
+        self.k = int(k)
+        self.total = int(k + algebraic)
+        self.own = slice(0, n)  # the user's coordinates
+        self.rates = None  # the CheckedFunction of the user's rates
+        self.why = ""  # why the last algebraic states have no solution
+        self._last = ((), ())  # ((t, q, v), arrays as bytes, the states there)
+        self.start = self._numbers(name, "x0", user.x0, 0.0, -np.inf, "finite")  # (total,)
+        self.sizes = self._numbers(name, "sizes_x", user.sizes_x, 1.0, 0.0, "positive")  # (total,)
+        self.units = self.sizes[: self.k]  # sizes of the states with rates
         if wrong := [function for function in EXCLUDED if function in written]:
             raise InputError(f"{name}: a model with states cannot have {wrong[0]}; leave it out, differences take its place")
         for function in LAST:
-            arguments = [*arguments_of(function), *(() if function == "rates" else "x")]
+            arguments = list(arguments_of(function))
+            if function != "rates":
+                arguments.append("x")
             if function in written and not takes(getattr(user, function), len(arguments)):
                 raise InputError(f"{name}.{function} must take the states as its last argument: {function}({', '.join(arguments)})")
-        self.mass = 1.0
+        self.mass = 1.0  # of the coordinates of states: the mean one of the user's model at q = 0, for norms
         try:
             with np.errstate(all="ignore"):
                 mean = float(np.abs(user.mass(np.zeros(n)).diagonal()).mean())
@@ -229,45 +273,72 @@ class OwnStates:
 
     def states(self, t, q, v):
         """All states, (total,), at q and v of the whole model; algebraic ones without a solution are nan."""
-        x, k = v[self.n :] * self.sizes[: self.k], self.k
+        x, k = v[self.n :] * self.units, self.k
         if self.total == k:
             return x
         state = t, q.tobytes(), v.tobytes()
         if self._last[0] != state:  # forces and rates are asked for at one state
             rates = lambda free: self.rates(t, q[self.own], v[self.own], np.append(x, free))[k:]  # noqa: E731
-            free, self.why = solved(rates, self.start[k:], self.sizes[k:])
+            free, self.why = solved(rates, self.start[k:], self.sizes[k:], begun_at="x0")
             self._last = state, np.append(x, free)
         return self._last[1].copy()
 
     def arguments(self, name, at):
-        """The arguments of the user's function for those of the whole model: its part of q, v and a, and the states if it takes them."""
-        own = [value[..., self.own] if argument in ("q", "v", "a") else value for argument, value in zip(arguments_of(name), at)]
+        """Return the arguments of the user's function, its part of q, v and a, and x if it takes the states, for those of the whole model."""
+        given = self._cut(cuts_of(name), at)
         if name in LAST:
-            own.append(self.states(*at[:3]))
-        return own
+            given.append(self.states(*at[:3]))
+        return given
 
-    def of_whole(self, name, result, at):
-        """The result of the user's function at arguments of the whole model, in the size of the whole model."""
-        shape = SHAPES[name]
-        if shape == "m":
-            return result
+    def _cut(self, cuts, at):
+        """The arguments `at` of the whole model with the user's part of those of which `cuts` is True."""
+        own = self.own
+        return [value[..., own] if cut else value for cut, value in zip(cuts, at)]
+
+    def in_whole_model(self, name, function):
+        """Return a user's function of an array as one of the whole model, which gets its q, v and a and returns arrays of its size."""
+        shape, cuts = SHAPES[name], cuts_of(name)
         if shape == "n":
-            rates = self.rates(*self.arguments("rates", at[:3]))[: self.k]
-            change = at[3][self.n :] if name == "residual" else 0.0
-            return np.concatenate((result, self.mass * (change - rates / self.sizes[: self.k])))
-        corner = self.mass if name == "mass" else 0.0
-        if not isinstance(result, np.ndarray):
-            if shape == "mn":
-                return hstack([result, csr_array((result.shape[0], self.k))], format="csr")
-            return block_diag([result, corner * eye_array(self.k)], format="csr")
-        whole = np.zeros((result.shape[0] + (shape == "nn") * self.k, self.n + self.k))
-        whole[: result.shape[0], : self.n] = result
-        if shape == "nn":
-            whole[self.n :, self.n :] = corner * np.eye(self.k)
+            return partial(self._forces, function, cuts, name == "residual")
+        if shape == "m":
+            return partial(self._rows, function, cuts)
+        return partial(self._matrix, function, cuts, shape == "nn", self.mass if name == "mass" else 0.0)
+
+    def _rows(self, function, cuts, *at):
+        """What the user's function of phi or psi gives at arguments of the whole model, (m,)."""
+        return function(*self._cut(cuts, at))
+
+    def _forces(self, function, cuts, is_residual, *at):
+        """The user's force or residual, and behind it the rows of states, (n + k,).
+
+        These are `-mass rates/sizes`, of the residual `mass (a - rates/sizes)`.
+        """
+        given = self._cut(cuts, at)
+        x = self.states(*at[:3])
+        result = function(*given, x)
+        rates = self.rates(*given[:3], x)[: self.k]
+        change = at[3][self.n :] if is_residual else 0.0
+        return np.concatenate((result, self.mass * (change - rates / self.units)))
+
+    def _matrix(self, function, cuts, is_square, corner, *at):
+        """The user's matrix with zeros in the columns of states, and, if it is square, in their rows, with `corner` on their diagonal."""
+        matrix, k = function(*self._cut(cuts, at)), self.k
+        if not isinstance(matrix, np.ndarray):
+            if is_square:
+                return block_diag([matrix, corner * eye_array(k)], format="csr")
+            return hstack([matrix, csr_array((matrix.shape[0], k))], format="csr")
+        rows, n = len(matrix), self.n
+        whole = np.zeros((rows + k if is_square else rows, n + k))
+        whole[:rows, :n] = matrix
+        if is_square:
+            whole[n:, n:] = corner * np.eye(k)
         return whole
 
-    def read(self, data, rates, kinds, whole):
-        """Source text of the argument x of compiled functions; whole: as of Compiled."""
+    def states_source(self, data, rates, kinds, whole):
+        """Source text of the argument x of compiled functions; whole: as of Compiled.
+
+        In the text b, c and d are the addresses of q, v and of a or x, and `out` that of the result (jit/owner_data.py).
+        """
         behind, k = f"pointer(c + {8 * self.n})", self.k
         if not whole:
             return f"states_at({behind}, {data.view(np.ones(self.total))})"
@@ -277,8 +348,11 @@ class OwnStates:
         alone = data.view(np.array(data.c_function(rates, kinds | {"x": ("d", (self.total,))}, (self.total,))))
         return f"with_algebraic({alone}, data, t, b, c, {x}, {data.view(self.start[k:])}, {data.view(self.sizes[k:])})"
 
-    def stored(self, name, shape, m, data, rates):
-        """Arguments of OwnData.c_function with which a compiled function stores the result of the whole model."""
+    def store_source(self, name, shape, m, data, rates):
+        """Arguments of OwnData.c_function with which a compiled function stores the result of the whole model; letters as in `states_source`.
+
+        {"store": source text that writes `found`, the user's result, "other": the function whose result is `also`: rates, or None}.
+        """
         n, N = self.n, self.n + self.k
         sizes = {"n": f"({N},)", "nn": f"({N}, {N})", "mn": f"({m}, {N})"}
         if shape not in sizes:

@@ -366,7 +366,7 @@ class ContactHandler(EventHandler):
 
         unique = self._uniqueness(before, after)
         reached = not unique > UNIQUE
-        agrees = self.mode.agrees(after)
+        agrees = self.mode.press_direction_is_consistent(after)
         ahead = self._singular_ahead(before, after.t - before.t) if reached or not agrees else None
         if ahead is None and (reached or (not agrees and unique < CLOSE)):
             unique_at = lambda t: self._uniqueness(before, between(before, after, t))  # noqa: E731
@@ -390,7 +390,7 @@ class ContactHandler(EventHandler):
     def _lasts(self, number, before, ahead):
         """True if a row has the status that it had before at a state ahead, too; that of a closed contact follows from its force without friction."""
         if self.contacts.contact[number] and self.status[number] == CLOSED:
-            return self.mode.pressed(ahead, before.lam)
+            return self.mode.would_press_without_friction(ahead, before.lam)
         return self.value(self.events[number], ahead) > 0.0
 
     def _crossing(self, event, side, values, offset, before, after):

@@ -25,7 +25,8 @@ from polyida.study.ivp import initial_value_problem, integrator_lists, kind_of, 
 from polyida.study.kept import KeptEnds, require_folder
 from polyida.study.plotting import slope_line
 from polyida.study.quantity import WORDS, quantity_of
-from polyida.study.references import distance, end_of, make_reference, user_reference
+from polyida.study.references import distance, end_of
+from polyida.study.refinement import make_reference, user_reference
 from polyida.study.result import Result
 from polyida.study.rows import NAN, fit_slope
 from polyida.validation import named_keywords, one_of, whole

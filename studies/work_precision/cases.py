@@ -14,9 +14,10 @@ from polyida.force.loads import PointLoad
 from polyida.problems import plates
 from polyida.study.ivp import InitialValueProblem, initial_value_problem
 from polyida.study.precision import work_precision
-from polyida.study.references import BY_ENERGY_MOMENTUM, BY_EXPLICIT, FINEST, make_reference, user_reference
+from polyida.study.refinement import BY_ENERGY_MOMENTUM, BY_EXPLICIT, RADAU_RTOL, make_reference, user_reference
 from work_precision.integrators import integrator
 
+FINEST = len(RADAU_RTOL) - 1  # the finest level of refinement
 SHOWN = {"q": 1e-10, "v": 1e-6, "lam": 1e-4}  # the smallest errors that the study is to show of plates: a tenth of them is to be known
 COARSE = {"q": 1e-6, "v": 1e-2, "lam": 1.0}  # and of the blow in the short selection
 

@@ -10,7 +10,7 @@ from polyida.errors import InputError
 from polyida.reprs import shown
 from polyida.show.figure_files import csv
 from polyida.study.ivp import initial_value_problem
-from polyida.study.references import make_reference
+from polyida.study.refinement import make_reference
 
 STEPS = (1e-2, 5e-3)
 

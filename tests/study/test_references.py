@@ -9,7 +9,7 @@ from polyida import problems, progress
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.model import Model
 from polyida.problems import andrews, plates
-from polyida.study import kept, references
+from polyida.study import kept, references, refinement
 from polyida.study.ivp import InitialValueProblem
 from polyida.study.precision import unresolved_pulse_notes
 from step_size_sensitivity.errors import smooth
@@ -77,7 +77,7 @@ def pair_of(apart):
 
     def other(ivp, level):
         asked.append(level)
-        return f"other {level}", {part: value + apart[level] for part, value in references._by_radau_at(ivp, level)[1].items()}
+        return f"other {level}", {part: value + apart[level] for part, value in refinement._by_radau_at(ivp, level)[1].items()}
 
     return asked, other
 
@@ -90,9 +90,9 @@ def swing():
 def test_a_reference_is_known_as_well_as_an_unlike_method_agrees():
     """Not as well as it agrees with itself: what both runs of one family share is seen."""
     asked, other = pair_of((1e-3,) * 4)
-    found = references.make_reference(swing(), others=(other,))
-    assert found["known_to"] == {part: pytest.approx(1e-3) for part in references.PARTS} and asked == [1, 2]  # no nearer: no further level
-    assert np.array_equal(found["q"], references._by_radau_at(swing(), 1)[1]["q"]) and [how[:5] for how in found["made_by"]] == [
+    found = refinement.make_reference(swing(), others=(other,))
+    assert found["known_to"] == {part: pytest.approx(1e-3) for part in refinement.PARTS} and asked == [1, 2]  # no nearer: no further level
+    assert np.array_equal(found["q"], refinement._by_radau_at(swing(), 1)[1]["q"]) and [how[:5] for how in found["made_by"]] == [
         "Radau",
         "other",
     ]
@@ -100,7 +100,7 @@ def test_a_reference_is_known_as_well_as_an_unlike_method_agrees():
 
 def test_a_reference_is_refined_until_it_is_known_to_a_tenth_of_what_is_measured():
     asked, other = pair_of((1.0, 1e-3, 1e-5, 1e-7))
-    found = references.make_reference(swing(), lambda values: dict.fromkeys(references.PARTS, 2e-4), others=(other,))
+    found = refinement.make_reference(swing(), lambda values: dict.fromkeys(refinement.PARTS, 2e-4), others=(other,))
     assert asked == [1, 2] and found["known_to"]["q"] == pytest.approx(1e-5)
 
 
@@ -111,7 +111,7 @@ def test_what_two_methods_share_is_seen_by_how_far_a_finer_run_moves():
     scene.add(pi.Revolute(pi.ground, bar.at("left")))
     scene.add(pi.PointLoad(bar.at("right"), (3.0, 5.0), pi.profile.linear(0.0, 1.0, 0.1), name="load"))
     motion = InitialValueProblem("kink", scene.build(), 0.1001)
-    found = references.make_reference(motion, lambda values: dict.fromkeys(references.PARTS, 1e-3), others=(references._by_radau_at,))
+    found = refinement.make_reference(motion, lambda values: dict.fromkeys(refinement.PARTS, 1e-3), others=(refinement._by_radau_at,))
     off = references.distance(found, references.by_explicit(motion.model, motion.t_end, 2.3e-14))
     assert all(off[part] <= found["known_to"][part] for part in off) and found["known_to"]["q"] < 1e-9
 
@@ -121,14 +121,14 @@ def test_another_family_is_asked_where_one_does_not_come_there_or_near():
         raise RuntimeError("it broke")
 
     (_, far), (_, near) = pair_of((1e-3,) * 4), pair_of((1e-6,) * 4)
-    found = references.make_reference(swing(), lambda values: dict.fromkeys(references.PARTS, 1e-4), others=(broken, far, near))
+    found = refinement.make_reference(swing(), lambda values: dict.fromkeys(refinement.PARTS, 1e-4), others=(broken, far, near))
     assert found["known_to"]["q"] == pytest.approx(1e-6, rel=1e-3) and found["failed"] == ["it broke"]
-    nothing = references.make_reference(swing(), others=(broken,))
+    nothing = refinement.make_reference(swing(), others=(broken,))
     assert nothing.keys() == {"failed", "cpu_s"} and nothing["failed"] == ["it broke"]
 
 
 def test_a_stiff_reference_shares_no_family_with_its_judge():
-    given = cases.by_two("pair", smooth("load", 4), 0.02, references.BY_ENERGY_MOMENTUM).reference
+    given = cases.by_two("pair", smooth("load", 4), 0.02, refinement.BY_ENERGY_MOMENTUM).reference
     off = references.distance(given, references.by_explicit(smooth("load", 4), 0.02, 1e-11))
     assert all(off[part] <= 1.5 * given["known_to"][part] for part in off) and given["made_by"][1].startswith("energy-momentum")
 
@@ -171,7 +171,7 @@ class Bump(Model):
 def test_a_force_that_both_methods_step_over_is_not_known(push):
     """They agree to round-off; the energy says where it ends."""
     motion = InitialValueProblem("bump", Bump(push), 1.0, [0.0], [1.0])
-    found = references.make_reference(motion)
+    found = refinement.make_reference(motion)
     work = push * 1e-3 * 16 / 15
     gap = abs(found["v"][0] - (np.sqrt(1.0 - 2.0 * work) if work < 0.5 else -1.0))
     assert gap <= found["known_to"]["v"] and found["sampling"] == pytest.approx(1.0 / 4000)
@@ -183,7 +183,7 @@ def test_a_contact_is_known_as_well_as_two_methods_agree():
     body = scene.add(pi.RigidBody(1.0, 0.1, {"c": (0.0, 0.0)}, velocity=(1.0, 0.0)))
     scene.add(pi.PenaltyContact(pi.ground.at((0.5, 0.0)), body.at("c"), stiffness=1e6, radius=0.01, exponent=1.5))
     model = scene.build()
-    found = references.make_reference(InitialValueProblem("contact", model, 1.0), others=(references.BY_BDF,))
+    found = refinement.make_reference(InitialValueProblem("contact", model, 1.0), others=(refinement.BY_BDF,))
     assert abs(found["v"][0] + 1.0) <= found["known_to"]["v"]
 
 
@@ -203,12 +203,14 @@ def turning_bar():
 
 def counted_runs(monkeypatch):
     """The integrators of the reference runs that are made from now on."""
-    made, run = [], references._full_run
-    monkeypatch.setattr(
-        references,
-        "_full_run",
-        lambda model, t_end, integrator, *more, **options: made.append(integrator) or run(model, t_end, integrator, *more, **options),
-    )
+    made, run = [], references.full_run
+
+    def counted(model, t_end, integrator, *more, **options):
+        made.append(integrator)
+        return run(model, t_end, integrator, *more, **options)
+
+    for module in (references, refinement):
+        monkeypatch.setattr(module, "full_run", counted)
     return made
 
 
@@ -222,7 +224,7 @@ def test_a_reference_is_as_accurate_as_the_study_needs_by_two_orders_of_one_meth
     monkeypatch.setattr(kept, "_in_memory", {})
     study = steps_of(turning_bar())
     exact = references.by_explicit(turning_bar(), 0.1, 2.3e-14)
-    off = references.distance({part: study.reference[part] for part in references.PARTS}, exact)
+    off = references.distance({part: study.reference[part] for part in refinement.PARTS}, exact)
     assert all(off[part] <= study.known_to[part] <= 0.1 * study.rows[1][f"error_{part}"] for part in off)
     assert {type(one) for one in made} == {pi.RadauIIA} and min(one.rtol for one in made) >= 1e-9
     assert [text.partition(",")[0] for text in study.reference["made_by"]] == ["Radau IIA", "Radau IIA of order 3"]
