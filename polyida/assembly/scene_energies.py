@@ -7,11 +7,12 @@ from polyida.assembly.own_forces import NEAR
 from polyida.assembly.own_laws import energies_and_powers
 from polyida.assembly.powers import Powers
 from polyida.assembly.relaxation import relaxation_energies
+from polyida.assembly.scene_bodies import SceneBodies
 from polyida.model.differences import FIRST_ORDER_STEP
 
 
-class SceneEnergies:
-    """Mixed into SceneModel: its energies, J, and powers, W, at q (n,) and v (n,); v matters for energies that depend on states."""
+class SceneEnergies(SceneBodies):
+    """The part of SceneModel with its energies, J, and powers, W, at q (n,) and v (n,); v matters for energies that depend on states."""
 
     def potential(self, q):
         """Strain energy, energy of force elements and potential of gravity, J, relative to the reference configuration."""
