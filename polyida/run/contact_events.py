@@ -150,7 +150,7 @@ class ContactHandler(EventSearch):
         return float(self.statuses.functions_at(state)[event.law])
 
     def _quiet(self, before, stretch):
-        """(steps,) mask of a stretch: steps in which certainly no status of a row ends.
+        """True for the steps of a stretch in which certainly no status of a row ends, (steps,).
 
         A motion's first step, those near an end of unique friction, those of rows with shared forces or held by equations, and those of runs with
         kinks and samples are looked into.
@@ -319,7 +319,7 @@ class ContactHandler(EventSearch):
         return SIGNS[self.status[event.law]] * float(change)
 
     def _hit(self, state):
-        """(contacts,) mask: contacts that have closed and whose gap decreases."""
+        """True for the contacts that have closed and whose gap decreases, (rows with laws,)."""
         contacts, still, size = self.contacts, self.contacts.still(state.v), TOUCH * (self.whole.extent or 1.0)
         rates = self.whole.phi_rate(state.t, state.q, state.v)[contacts.rows]
         return contacts.contact & (contacts.gaps(state.t, state.q) <= size) & (rates < -still)
