@@ -14,7 +14,7 @@ The states of the run put into the equations of a step leave what Newton's metho
 
 Vibrations whose phase is lost make the first estimate useless: lost_phases.py says how much they may change it.
 
-A step ends just before a contact opens. The force there has two slopes: that of the closed contact would act over the whole step behind,
+A step ends just before a contact opens. The force there has two slopes: that of the closed contact would act over the whole step after it,
 which may be much longer than the steps within the contact. So this state is linearised with the contact open; with `near_side` as it is,
 for comparison.
 """
@@ -43,10 +43,10 @@ AT_INSTANT = 0.2  # of the slopes in lam and a: a frame that has more makes J de
 
 
 def truncation(h, coefficients, accelerations, at, weights, ahead):
-    """What Newmark's formulas leave of q and v of equal steps of h, tau (2, count, n).
+    """What Newmark's formulas leave of equal steps of h: tau (2, count, n), tau[0] of q (its unit), tau[1] of v (its unit).
 
-    accelerations (., n); at (count,): first one of each step's polynomial; weights (count, 2, points): of `step_integrals`. ahead (count +
-    1, n): A.
+    accelerations (., n); at (count,): number of the first one of each step's polynomial. weights (count, 2, points): of `step_integrals`, in
+    int a dt / h and int (t_1 - t) a dt / h^2; `[:, ::-1]` brings them into the order of tau. ahead (count + 1, n): A at the ends of the steps.
     """
     beta, gamma = coefficients.beta, coefficients.gamma
     tau = np.stack([-(0.5 - beta) * ahead[:-1] - beta * ahead[1:], -(1.0 - gamma) * ahead[:-1] - gamma * ahead[1:]])
@@ -88,16 +88,18 @@ class AlphaErrors(AlphaAdjoint):
     observes = True
 
     def __init__(self, run, objective, memory_limit, near_side=False):
-        """Find the smooth pieces of the run and the states where contacts open. near_side: True to linearise these with the contact
-        closed.
+        """Find the smooth pieces of the run and the states where contacts open.
+
+        near_side: True to linearise these with the contact closed.
         """
         super().__init__(run, objective, [], memory_limit)
         self.run, self.objective = run, objective
-        self.plain = replace(self.settings, start="plain")
-        self.table, self.system = table_of(self.settings, self.model, False), None  # what evaluates residuals
+        self.plain = replace(self.settings, start="plain")  # settings that give consistent velocities at the start of a piece
+        # what evaluates residuals, and its factor once it is needed
+        self.table, self.system = table_of(self.settings, self.model, False), None
         count = len(self.history.frames) - 1
         self.times = np.concatenate([np.asarray(self.history.states(k, k + 1)[0]) for k in (0, count)])  # first and last of the run
-        breaks, self.far = self._breaks(near_side)
+        breaks, self.far = self._breaks(near_side)  # far: {number of a state: time along v to the far side of the contact that opens}
         self.pieces = list(zip(breaks, [*breaks[1:], count]))  # (first, last) number of the states of the smooth parts of the run
         self.steps = np.zeros(count)  # shares of steps in the error of time, without the quadrature
         self.t = np.zeros(count)  # ends of the steps
@@ -108,8 +110,9 @@ class AlphaErrors(AlphaAdjoint):
         self.meshes = {body.name: MeshError(body) for body in self.model.bodies} if not self.reasons_of_mesh() else {}
 
     def _breaks(self, near_side):
-        """(numbers of the states at which a smooth part begins, {number of a state where a contact opens: time along v to its far
-        side}).
+        """Where the motion is not smooth.
+
+        Returns (numbers of the states at which a smooth part begins, {number of a state where a contact opens: time along v to its far side}).
         """
         breaks, far = [], {}
         for one in self.history.segments:
@@ -122,8 +125,9 @@ class AlphaErrors(AlphaAdjoint):
         return breaks, far
 
     def _open_gaps(self, segment):
-        """Which gaps are open just before and behind the start of a segment; steps that are shortened within a contact leave the motion
-        smooth.
+        """Which gaps are open just before and just after the start of a segment, (gaps,) each.
+
+        Steps that are shortened within a contact leave the motion smooth.
         """
         state, gaps = self.ready[segment.first][0], self.model.gaps
         return [gaps(state.t + s, state.q + s * state.v) >= 0.0 for s in (-0.5 * segment.before, 0.5 * segment.h)]
@@ -154,7 +158,12 @@ class AlphaErrors(AlphaAdjoint):
         return tuple(result)
 
     def observe(self, segment, first, t, motion, slopes, result):
-        """Add the shares of some steps."""
+        """Add the shares of some steps, of equal length: of time, of Newton's method, of the meshes, and how much J is of an instant.
+
+        first: number of the state before them; t (count,): their ends; motion[3]: A, (count + 1, n). result: their multipliers w, mu, kappa, and
+        `keep` (2, count, n), those of the formulas of q and v.
+        """
+        # the error of time
         count, end, keep = len(t), first + len(t), result.keep
         piece = next(one for one in self.pieces if one[0] <= first < one[1])
         numbers = np.arange(first, end)
@@ -169,10 +178,12 @@ class AlphaErrors(AlphaAdjoint):
         self.steps[first:end] -= np.sum(keep * tau, axis=(0, 2))
         self.t[first:end] = begin + h
         self._shift(begin + 0.5 * h, h, tau, np.asarray(keep), first == piece[0], piece == self.pieces[-1])
+        # the errors of Newton's method and of the meshes
         _, q, v, a, lam = self.history.states(first + 1, end + 1)
         self.newton += self._left_over(segment.h, begin[0], t, q, v, a, lam, result)
         for name, mesh in self.meshes.items():
             mesh.add(*(x.reshape(count, -1, 2) for x in (q, v, result.w)), slopes.energies.get(name, np.zeros(count)))
+        # whether J depends on an instant of lam or a
         for one in (slopes.lam, slopes.a):
             if one is not None and one.size:
                 sizes = np.abs(one).sum(axis=1)
@@ -208,8 +219,10 @@ class AlphaErrors(AlphaAdjoint):
         self.steps[segment.first] += float(adjoints.v @ (v - begun.v))
 
     def _shift(self, t, h, tau, factors, closed, ends):
-        """Add to `lost` the steps whose neighbours within the shift and the fit are known; closed: True if a piece begins with the first
-        one here; ends: True if the run ends with this piece.
+        """Add to `lost` the steps whose neighbours within the shift and the fit are known, and keep the others for the next call.
+
+        The sweep goes backward: these steps are before those of `window`. t, h (steps,): their middles and lengths; tau, factors (2, steps, n).
+        closed: True if a piece begins with the first one here; ends: True if the run ends with this piece.
         """
         self.open += len(t)
         if self.window:
@@ -246,8 +259,9 @@ class AlphaErrors(AlphaAdjoint):
         return OneFrame(self.run.model, *(np.asarray(x, float)[None] for x in (t, state.q, state.v, state.a, state.lam)))
 
     def reasons(self, time, steps):
-        """(share of modes whose phase is lost, reasons why an estimate of the error of time is not trusted), of the results of
-        `of_time`.
+        """(share of modes whose phase is lost, reasons why an estimate of the error of time is not trusted).
+
+        time, steps: results of `of_time`.
         """
         share = float(np.abs(self.lost).max() / abs(time)) if time else 0.0
         result, begin = [], [first for first, _ in self.pieces]

@@ -10,11 +10,11 @@ import numpy as np
 
 from polyida.adjoint.gradient import gradient
 from polyida.adjoint.history import step_history, stored_state
+from polyida.adjoint.other_places import with_parts_of
 from polyida.adjoint.parameters import parameters_of
 from polyida.adjoint.radau_history import exact_steps, step_start_state
 from polyida.adjoint.radau_history import step_history as radau_history
 from polyida.adjoint.run import given_velocity
-from polyida.adjoint.seen_places import with_parts_of
 from polyida.errors import InputError
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps

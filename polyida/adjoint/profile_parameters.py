@@ -5,8 +5,8 @@ the entries of that sum in their own times.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, lru_cache, partial
 from inspect import signature
 from typing import Any
 
@@ -26,6 +26,8 @@ from polyida.registry import is_built_in
 from polyida.validation import complex_of_pairs, floats, is_number
 
 ORDERS = ("value", "d1", "d2")
+SCALE = REACH[1] / FIRST_ORDER_STEP  # s, over which functions of time of one's own vary
+DEFAULTS = tuple(kind.profile for kind in (PointLoad, EdgeTraction))  # of loads that were given none
 
 
 def over(profile, t, order=0):
@@ -37,9 +39,11 @@ def over(profile, t, order=0):
 
 
 def slope_over(profile, profile_at, scale, speeds, orders, t):
-    """The derivative of `profile_at(s)` in s at s = 0, in value and derivatives of these orders at times t, (k, orders).
+    """The derivative of `profile_at(s)` in s at s = 0, in value and derivatives of these orders at times t (k,), (k, orders).
 
-    speeds: of its kinks. Differences follow the kinks, so that none crosses one; the derivatives in time correct for this shift.
+    speeds (kinks,): derivatives of its kinks in s. Differences follow the kinks, so that none crosses one:
+
+        dp_s(t)/ds = d/ds p_s(t + s moved) - moved p'(t),    moved (k,): the speeds, interpolated between kinks
     """
     moved = np.interp(t, profile.kinks, speeds) if speeds.any() else np.zeros(len(t))
     if moved.any():
@@ -102,47 +106,61 @@ def _add_products(model, work, result):
     The value's is `across`; the rate's `theta' across + E' . F + E . F'`; the bias' that of `2 E' . F' + theta'' across
     - theta'^2 along + 2 theta' (E' x F + E x F')`. A turn by a right angle makes across of along, and minus along of across.
     Of velocity rows `R(theta) E . F'` the rate is the row itself and the bias `E' . F' + theta' E x F'`; their force acts on F alone.
+
+    In the code, complex (k, products): e, f: the turned and the other vector; u, g: their rates without the turn; we, wf: their changes along
+    w.
     """
     s = model.arrays.links
     turned, used, of_first, of_other = model.once(_turned_vectors, of_shape=True)
     if not (len(turned) and len(work.t)):
         return
     angles = drive_table(model, work.t, (work.t[0], work.t[-1]))[:, s.product_drive[turned]]
-    turn, speed, second = np.exp(1j * angles[..., 0]), angles[..., 1], angles[..., 2]
+    rotation, speed, second = np.exp(1j * angles[..., 0]), angles[..., 1], angles[..., 2]
     first, other, rows = s.product_first[turned], s.product_second[turned], s.product_row[turned]
 
     def moved(x):
         """Changes (count, products) of both vectors of each product along x (count, n), complex; the drive turns the first one."""
         z = complex_of_pairs(x.reshape(len(x), -1, 2)[:, used])
-        return turn * (z @ of_first), z @ of_other
+        return rotation * (z @ of_first), z @ of_other
 
     rest = complex_of_pairs(s.vector_rest)
     (e, f), (we, wf) = moved(work.q), moved(work.w)
-    e, f = e + turn * rest[first], f + rest[other]
-    slopes = np.zeros((len(work.t), len(turned), 3))
+    e, f = e + rotation * rest[first], f + rest[other]
     held = 1.0 - s.product_rate[turned]  # 0 of velocity rows
+    slopes = np.zeros((len(work.t), len(turned), 3))
     slopes[..., 0] = work.lam[:, rows] * (held * _cross(we, f) + _cross(e, wf))
     if work.mu is not None:
         slopes[..., 0] += work.mu[:, rows] * _cross(e, f)
     if work.kappa is not None or work.nu is not None:
         u, g = moved(work.v)
         mixed = held * _cross(u, f) + _cross(e, g)
-    if work.kappa is not None:
-        slopes[..., 0] += work.kappa[:, rows] * (mixed - held * speed * _dot(e, f))
-        slopes[..., 1] += work.kappa[:, rows] * held * _cross(e, f)
-    if work.nu is not None:
-        nu, of_phi = work.nu[:, rows], work.nu[:, rows] * held
-        slopes[..., 0] += (nu + of_phi) * _cross(u, g) - of_phi * (second * _dot(e, f) + speed**2 * _cross(e, f))
-        slopes[..., 0] -= speed * (2.0 * of_phi * _dot(u, f) + (nu + of_phi) * _dot(e, g))
-        slopes[..., 1] += (nu + of_phi) * mixed - 2.0 * of_phi * speed * _dot(e, f)
-        slopes[..., 2] += of_phi * _cross(e, f)
+        if work.kappa is not None:
+            _add_rates_of_products(slopes, work.kappa[:, rows], held, speed, mixed, e, f)
+        if work.nu is not None:
+            _add_biases_of_products(slopes, work.nu[:, rows], held, speed, second, mixed, (e, f), (u, g))
     for p, drive in enumerate(s.product_drive[turned]):
         result[:, drive] += slopes[:, p]
 
 
+def _add_rates_of_products(slopes, kappa, held, speed, mixed, e, f):
+    """Add those of `kappa . rate` to slopes (k, products, 3). mixed: `E' x F + E x F'`; held: 0 of velocity rows, else 1."""
+    slopes[..., 0] += kappa * (mixed - held * speed * _dot(e, f))
+    slopes[..., 1] += kappa * held * _cross(e, f)
+
+
+def _add_biases_of_products(slopes, nu, held, speed, second, mixed, vectors, rates):
+    """Add those of `nu . bias` to slopes (k, products, 3). speed, second: derivatives of the angle; vectors (e, f), and their rates (u, g)."""
+    (e, f), (u, g), of_phi = vectors, rates, nu * held
+    slopes[..., 0] += (nu + of_phi) * _cross(u, g) - of_phi * (second * _dot(e, f) + speed**2 * _cross(e, f))
+    slopes[..., 0] -= speed * (2.0 * of_phi * _dot(u, f) + (nu + of_phi) * _dot(e, g))
+    slopes[..., 1] += (nu + of_phi) * mixed - 2.0 * of_phi * speed * _dot(e, f)
+    slopes[..., 2] += of_phi * _cross(e, f)
+
+
 def _turned_vectors(model):
-    """(numbers of the products of two vectors of which a drive turns one, the nodes of the points, changes of the first and of the other
-    vector by these nodes, (nodes, products) complex).
+    """The products of two vectors of which a drive turns one.
+
+    Returns (their numbers, the nodes of the points, changes of the first and of the other vector by these nodes, (nodes, products) complex).
     """
     from scipy.sparse import csr_array
 
@@ -180,9 +198,6 @@ def _add_element(model, name, element, work, result):
             result[:, drive, order] += along(pushed, size)
 
 
-SCALE = REACH[1] / FIRST_ORDER_STEP  # s, over which functions of time of one's own vary
-
-
 def in_time(model, work):
     """The slope of `w . r + mu . phi + kappa . rate + nu . bias` of each entry in its time at fixed state, (k,).
 
@@ -206,11 +221,11 @@ def in_time(model, work):
             continue
         own = OwnForce(name, part, model)
 
-        def later(s, own=own, element=part):  # at times that are later by s, with profiles that are late by as much
+        def later(s, own=own, element=part):
             """Works of the element at times that are later by s, with profiles that are late by as much."""
             copy = element
             for profile in profiles_of(element):
-                late = {order: lambda t, f=f: f(t - s) for order in ORDERS for f in [getattr(profile, order)]}
+                late = {order: partial(_delayed, getattr(profile, order), s) for order in ORDERS}
                 copy = part_with_profile(copy, profile, replace(profile, formula=(), **late))
             return element_work(own, copy, work._replace(t=work.t + s))
 
@@ -218,24 +233,22 @@ def in_time(model, work):
     return result
 
 
-DEFAULTS = tuple(kind.profile for kind in (PointLoad, EdgeTraction))  # of loads that were given none
+def _delayed(function, s, t):
+    """Value at time t of a function of time that is late by s."""
+    return function(t - s)
 
 
 @dataclass(frozen=True, eq=False)
 class ProfileNumber(Parameter):
-    """A number of a profile, wherever the scene has this profile.
+    """A number of a profile, wherever the scene has this profile."""
 
-    drive: number of the profile in the model. made: function of the number -> profile. scale: size over which the profile varies with it.
-    works: function of AdjointMultipliers -> `profile_works`. slopes: function (t, q, adjoint) -> MotionSlopes of the start. only_by_name:
-    True if other numbers of the profile are equivalent.
-    """
-
-    drive: int
-    profile_at: Callable[[Any], Profile]
-    scale: Callable[[Any], float]
-    works: Callable
-    slopes: Callable
-    only_by_name: bool = False
+    drive: int  # number of the profile in the model
+    profile_at: Callable[[Any], Profile]  # function of the number -> profile
+    scale: Callable[[Any], float]  # function of times (k,) -> size over which the profile varies with the number
+    works: Callable  # function of AdjointMultipliers -> `profile_works`
+    slopes: Callable  # function (t, q, adjoint) -> MotionSlopes of the start
+    only_by_name: bool = False  # True if other numbers of the profile are equivalent
+    _last: dict = field(default_factory=dict, init=False, repr=False)  # {(orders, times): their `_slopes`}, the last ones
     reason = "the numbers of the profile have slopes of their own"
 
     @property
@@ -251,10 +264,10 @@ class ProfileNumber(Parameter):
             return 0.0 * self.value
         times, places = np.unique(work.t[used], return_inverse=True)  # entries of a start have one time
         at = orders.tobytes(), times.tobytes()
-        if at not in self._known:  # several objectives have the same times
-            self._known.clear()
-            self._known[at] = self._slopes(orders, times)
-        return np.tensordot(each[np.ix_(used, orders)], self._known[at][places], 2)
+        if at not in self._last:  # several objectives have the same times
+            self._last.clear()
+            self._last[at] = self._slopes(orders, times)
+        return np.tensordot(each[np.ix_(used, orders)], self._last[at][places], 2)
 
     def start(self, t, q, adjoint):
         """Slope if driven joints change the given motions."""
@@ -269,11 +282,6 @@ class ProfileNumber(Parameter):
     def _slopes(self, orders, t):
         """Slopes (k, orders) of the profile in the number at times t."""
         return slope_over(self.profile, self._near, self.scale(t), self._speeds, orders, t)
-
-    @cached_property
-    def _known(self):
-        """{(orders, times): their `_slopes`}, the last ones."""
-        return {}
 
     @cached_property
     def _speeds(self):
@@ -331,10 +339,14 @@ def profile_parameters(model, works, slopes):
         elif kind:
             keys = ["value"] if kind == "polynomial" else list(signature(MAKERS[kind]).parameters)
             for i, key in enumerate(keys):
-                maker = lambda value, i=i, kind=kind, numbers=numbers: MAKERS[kind](*numbers[:i], value, *numbers[i + 1 :])  # noqa: E731
+                maker = partial(_with_number, kind, numbers, i)
                 yield ProfileNumber(f"{name}.{key}", numbers[i], model, drive, maker, _scale_of(key, dict(zip(keys, numbers))), *shared)
-        times = lambda value, profile=profile: scaled(profile, value)  # noqa: E731
-        yield ProfileNumber(f"{name}.scale", 1.0, model, drive, times, lambda t: 1.0, *shared, bool(kind))
+        yield ProfileNumber(f"{name}.scale", 1.0, model, drive, partial(scaled, profile), lambda t: 1.0, *shared, bool(kind))
+
+
+def _with_number(kind, numbers, i, value):
+    """The profile of a kind, such as "ramp", whose number i of those it was made with is another value."""
+    return MAKERS[kind](*numbers[:i], value, *numbers[i + 1 :])
 
 
 def named_drives(model):
@@ -352,10 +364,10 @@ def named_drives(model):
 
 def _fields(part):
     """(name, value) of the fields of a part; of a pair of profiles each axis."""
-    for field in fields(part):
-        value = getattr(part, field.name)
+    for one in fields(part):
+        value = getattr(part, one.name)
         pair = isinstance(value, tuple) and len(value) == 2
-        yield from zip("xy", value) if pair else [(field.name, value)]
+        yield from zip("xy", value) if pair else [(one.name, value)]
 
 
 def _named(name, values):

@@ -7,7 +7,7 @@ import numpy as np
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.integrate.start import consistent_acceleration, on_position, on_velocity
 from polyida.model.differences import along, jacobian, reach_along
-from polyida.run.events import AHEAD
+from polyida.run.event_search import AHEAD
 from polyida.run.reset import rate_of, slope_of
 
 

@@ -26,7 +26,7 @@ from polyida.model.guarded import guard
 from polyida.progress import over_time
 from polyida.run.accepted import accepted
 from polyida.run.ctrl_c import noted
-from polyida.run.events import Change
+from polyida.run.event_search import Change
 from polyida.run.jumps import JUMP_IN_V, Jumps
 from polyida.run.recording import Sampler, Until
 from polyida.sensor import Sensors
