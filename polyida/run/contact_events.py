@@ -491,7 +491,7 @@ class ContactHandler(EventHandler):
         status = np.where(slips & (status > 0), np.where(rates > 0.0, SLIPS_UP, SLIPS_DOWN), status)
         self.status = np.where(bounded & contacts.active(closed), status, 0)
         self._set_mode(t, q, v)
-        return State(t, q, v, a, contacts.all(lam, p), restart=False)
+        return State(t, q, v, a, contacts.all_multipliers(lam, p), restart=False)
 
     @timed
     def _change(self, state, fired):
