@@ -14,6 +14,7 @@ depend on the beginning of the stretch, are single.
 """
 
 import math
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -27,18 +28,63 @@ ZERO = 1e-13  # of the model's size: a gap of that size is zero
 JUMP = 2.0  # forces jump if they change by less than that factor when the distance from the switch is four times as large
 NEAR = 1e-9  # of a gap's size in a step: how near to zero a step ends
 TOGETHER = 1e-4  # of a step: gaps that switch within that time switch together
-FIXED, VARIABLE = 0.1, 0.5  # of a gap's largest rate since it closed: allowed change in a fixed step, in a variable one
+FIXED = 0.1  # of a gap's largest rate since it closed: allowed change in a fixed step
+VARIABLE = 0.5  # the same in a variable step
 BENT = 1e-3  # of the same: allowed error of a step of second order, `h / 12` times the change of the gap's acceleration
 SMALL = 1e-2  # of the largest rate so far: a gap that closed more slowly is treated as if it had closed at that rate
 FINEST = 256  # parts of a fixed step, at most
 FAR = 4.0  # a gap whose distance from zero is more than so many steps at its largest rate is not examined within the step
 STRETCH = 256  # steps, at most
-TRIALS, PATIENCE = 60, 3  # steps that are tried for one switch; of those that do not halve its bracket, before bisection
-AGAIN, STANDING = 20, 1e-9  # switches of one gap in a row, each within that share of the run, that end the run
+TRIALS = 60  # steps that are tried for one switch
+PATIENCE = 3  # of those, that do not halve the bracket of the switch, before bisection
+AGAIN = 20  # switches of one gap in a row that end the run, each within STANDING
+STANDING = 1e-9  # of the run's time
 BETWEEN = 1e-2  # of a jump of q'': a step that ends farther from the near side's value has ended within the jump
 PRESERVED = ("sizes", "rtol", "tolerances", "mu", "ladder")  # of the memory of a state, behind a jump of forces
 FAILURES = 6  # fixed steps in a row that fail, each a quarter of the one before
-ROWS = ("sides", "speeds", "peaks", "offsets", "flips", "turns", "times")  # of the memory, for each gap
+
+
+@dataclass
+class GapRecord:
+    """What a run knows of each gap: arrays (gaps,), in the order in which a memory stores them."""
+
+    sides: np.ndarray  # 1 open, -1 closed, 0 unknown
+    speeds: np.ndarray  # (unit of the gap)/s: largest rate since the gap closed, 0 if it is open or was closed from the start
+    peaks: np.ndarray  # the same unit: largest rate so far
+    offsets: np.ndarray  # the gap's unit: distance from zero when the gap switched last
+    flips: np.ndarray  # 1 if the gap switches at the goal, else 0
+    turns: np.ndarray  # largest change of the rate in a step of the least size, over `speeds`
+    times: np.ndarray  # s: the end of that step
+
+    @classmethod
+    def begun(cls, here, near):
+        """The record at the beginning of a run, from GapValues; near (gaps,): True for gaps that are zero up to round-off."""
+        rate, zeros = np.abs(here.rate), np.zeros((3, len(near)))
+        sides = np.where(near, np.sign(here.rate), np.sign(here.gap))
+        return cls(sides, np.where(sides < 0, rate, 0.0), rate, np.where(near, np.abs(here.gap), 0.0), *zeros)
+
+    @classmethod
+    def of_memory(cls, memory):
+        """The record in the entry "switches" of a memory, without its first two numbers; that of no gap if the entry is empty."""
+        return cls(*np.array(memory[2:]).reshape(ROWS, -1))
+
+    def to_memory(self, bound, goal):
+        """The entry "switches" of a memory, (2 + 7 gaps,): bound and goal of Switches, and the arrays."""
+        return np.concatenate([[bound, goal], self.sides, self.speeds, self.peaks, self.offsets, self.flips, self.turns, self.times])
+
+
+ROWS = len(fields(GapRecord))
+
+
+@dataclass
+class Bracket:
+    """The search for the first switch in a step."""
+
+    near: float  # s: end of the best steps that do not cross
+    beyond: float  # s: the least time at which a trial crossed or failed
+    t: float  # s: end of the next trial
+    which: np.ndarray  # (gaps,) True for the gaps that switch
+    states: list  # the States of the best steps, up to `near`
 
 
 def steps_of(own_steps, integrator, model, state, t_end, counts):
@@ -52,12 +98,12 @@ def steps_of(own_steps, integrator, model, state, t_end, counts):
 def unresolved(model, integrator, state):
     """Message of a model with switches about the gaps whose rate changes too much in the shortest steps, up to a state; empty if there are none."""
     memory = state.memory.get("switches", ())
-    turns, times = np.reshape(memory[2:], (len(ROWS), -1))[-2:] if len(memory) else np.zeros((2, 0))
+    gaps = GapRecord.of_memory(memory)
     least = f"h/{FINEST}" if integrator.fixed_step() else f"{STANDING:g} of the run's time"
     return "; ".join(
-        f"at t = {times[k]:.6g} s the shortest step, {least}, is too long for {model.gap_names()[k]}: the rate of its gap changes there by "
-        f"{100 * turns[k]:.3g} % of the largest since it closed; take a smaller h or rtol"
-        for k in np.flatnonzero(turns)
+        f"at t = {gaps.times[k]:.6g} s the shortest step, {least}, is too long for {model.gap_names()[k]}: the rate of its gap changes there by "
+        f"{100 * gaps.turns[k]:.3g} % of the largest since it closed; take a smaller h or rtol"
+        for k in np.flatnonzero(gaps.turns)
     )
 
 
@@ -66,53 +112,47 @@ class Switches:
 
     own_steps: a function (integrator, state, t_end) that gives the states of the integrator's own steps.
 
-    A run goes on from two entries of State.memory: "switches" is `bound`, `goal` and for each gap the arrays of ROWS, all below; "stretch" is the
-    number of steps that may be taken from there before any is examined.
+    `_piece` takes steps up to the goal, and `_examine` looks at each. A step that is refused is discarded (`_repeat_stretch`); then `_to_switch`
+    goes to a crossing, and `_shorter` takes shorter steps. `_accept` takes the other ones, and `_store` writes what a run goes on from.
+
+    A run goes on from two entries of State.memory: "switches" is that of `GapRecord.to_memory`; "stretch" is the number of steps that may be
+    taken from there before any is examined.
     """
 
     def __init__(self, own_steps, integrator, model, state, t_end, counts):
         """Prepare a run; the memory of the state may be that of an earlier run."""
-        self.model, self.counts, self.t_end, self.span = model, counts, t_end, t_end - state.t
-        self.own_steps, self.integrator = own_steps, integrator.without_halving()
+        self.model = model
+        self.counts = counts
+        self.t_end = t_end
+        self.span = t_end - state.t
+        self.own_steps = own_steps
+        self.integrator = integrator.without_halving()
         self.h = integrator.fixed_step()  # s; 0 if steps vary
         self.coarse = bool(self.h) or integrator.second_order  # the rate of a closed gap may change less in a step
         self.finest = self.h / FINEST if self.h else STANDING * self.span  # s: the shortest step
         speed = float(np.abs(state.v).max(initial=0.0))
-        self.distance = 1e-6 * min(extent(model, state.q) / speed if speed else np.inf, self.span)  # of central differences in t
+        self.difference_step = 1e-6 * min(extent(model, state.q) / speed if speed else np.inf, self.span)  # s: of central differences
         self.state = State(state.t, state.q, state.v, state.a, state.lam, {"sizes": sizes_of_run(model, state, t_end)} | state.memory)
         self.whole = self.state  # the last state from which a run can go on
         self.since = 0  # states accepted behind it
         self.switched = {}  # {gap: (t, times in a row)}
         self.jumped = False  # the next state from which a run can go on is marked "jumped"
-        # of the step examined last; near (gaps,), the distance from zero at which a step may end, is set there too
+        self.end = t_end  # s: of the present piece
+        # of the step examined last:
         self.here = self.ahead = self._values(state.t, state.q, state.v)  # GapValues at its ends
+        self.near = np.zeros(len(self.here.gap))  # (gaps,) the distance from zero at which it may end
         self.changed = 0.0  # largest change of a closed gap's rate over the allowed one
         self.turned = None  # (gaps,) these changes over the largest rates, if even the shortest step exceeds the allowed one
-        self._recall()
-
-    def _recall(self):
-        """Take what is known of each gap from the memory of the state, or set it at the beginning of a run."""
-        state, here = self.state, self.here
-        memory, count = state.memory.get("switches"), len(here.gap)
-        if np.shape(memory) != (2 + len(ROWS) * count,):
-            near, rate = np.abs(here.gap) <= self._zero(state.q), np.abs(here.rate)
-            sides = np.where(near, np.sign(here.rate), np.sign(here.gap))
-            rows = sides, np.where(sides < 0, rate, 0.0), rate, np.where(near, np.abs(here.gap), 0.0), *np.zeros((3, count))
-            memory = np.concatenate([np.zeros(2), *rows])
-        self.bound = float(memory[0])  # s: no step is longer; 0 without a bound
-        self.goal = float(memory[1])  # s: a time at which a step ends; 0 without one
-        known = dict(zip(ROWS, np.array(memory[2:]).reshape(-1, count)))
-        self.sides = known["sides"]  # 1 open, -1 closed, 0 unknown
-        self.speeds = known["speeds"]  # largest rate since the gap closed, 0 if it is open or was closed from the start
-        self.peaks = known["peaks"]  # largest rate so far
-        self.offsets = known["offsets"]  # distance from zero when the gap switched last
-        self.flips = known["flips"]  # 1 if it switches at the goal
-        self.turns = known["turns"]  # largest change of the rate in a step of the least size, over `speeds`
-        self.times = known["times"]  # s: the end of that step
+        memory, count = self.state.memory.get("switches"), len(self.here.gap)
+        known = np.shape(memory) == (2 + ROWS * count,)
+        self.bound = float(memory[0]) if known else 0.0  # s: no step is longer; 0 without a bound
+        self.goal = float(memory[1]) if known else 0.0  # s: a time at which a step ends; 0 without one
+        near = np.abs(self.here.gap) <= self._zero(state.q)
+        self.gaps = GapRecord.of_memory(memory) if known else GapRecord.begun(self.here, near)
 
     def _values(self, t, q, v):
         """GapValues at t, the rates by central differences along the motion."""
-        s = self.distance
+        s = self.difference_step
         ahead, behind = (self.model.gaps(t + e, q + e * v) for e in (s, -s))
         return GapValues(t, self.model.gaps(t, q), (ahead - behind) / (2 * s))
 
@@ -175,18 +215,22 @@ class Switches:
     def _shorter(self, bound):
         """Go on from the last accepted state with steps of at most `bound`, s."""
         self._repeat_stretch()
-        self.bound, self.goal, self.flips = bound, 0.0, np.zeros(len(self.flips))
+        self.bound = bound
+        self.goal = 0.0
+        self.gaps.flips = np.zeros(len(self.gaps.flips))
 
     def _accept(self, after):
         """The accepted state, with the memory from which a run goes on."""
         self.here, length = self.ahead, after.t - self.state.t
         rate = np.abs(self.here.rate)
-        self.peaks = np.maximum(self.peaks, rate)
-        self.speeds = np.where(self.speeds > 0, np.maximum(self.speeds, rate), 0.0)
-        self.sides = np.where((self.sides == 0) & (np.abs(self.here.gap) > self._zero(after.q)), np.sign(self.here.gap), self.sides)
+        self.gaps.peaks = np.maximum(self.gaps.peaks, rate)
+        self.gaps.speeds = np.where(self.gaps.speeds > 0, np.maximum(self.gaps.speeds, rate), 0.0)
+        self.gaps.sides = np.where(
+            (self.gaps.sides == 0) & (np.abs(self.here.gap) > self._zero(after.q)), np.sign(self.here.gap), self.gaps.sides
+        )
         if self.turned is not None:
-            self.times = np.where(self.turned > self.turns, after.t, self.times)
-            self.turns = np.maximum(self.turns, self.turned)
+            self.gaps.times = np.where(self.turned > self.gaps.turns, after.t, self.gaps.times)
+            self.gaps.turns = np.maximum(self.gaps.turns, self.turned)
             after = self._with_forces(after, after.a, after.lam) if self.turned.max() > VARIABLE else after
         if self.goal and after.t >= self.goal:
             after = self._at_goal(after, length)
@@ -197,13 +241,13 @@ class Switches:
 
     def _at_goal(self, after, length):
         """The state at the goal, where gaps may switch; without a switch the bound of steps may grow. length: of the step before, s."""
-        self.goal, which = 0.0, self.flips > 0
+        self.goal, which = 0.0, self.gaps.flips > 0
         if which.any():
             return self._flipped(after, which)
         if self.bound:
             grown = 2 * self.bound if self.changed < 0.4 else self.bound
             goes_on = grown < self.h if self.h else self.coarse and length > 0.4 * self.bound
-            self.bound = grown if goes_on and (self.sides < 0).any() else 0.0
+            self.bound = grown if goes_on and (self.gaps.sides < 0).any() else 0.0
         return after
 
     def _store(self, state, length):
@@ -211,7 +255,7 @@ class Switches:
         self.whole, self.since, steps = state, 0, 1
         if self.h:  # half of the steps to the next switch, at the present rates
             steps = 0.5 * float((np.abs(self.here.gap) / np.maximum(np.abs(self.here.rate) * length, 1e-300)).min())
-        state.memory["switches"] = np.concatenate([[self.bound, self.goal], *(getattr(self, name) for name in ROWS)])
+        state.memory["switches"] = self.gaps.to_memory(self.bound, self.goal)
         state.memory["stretch"] = float(int(min(max(steps, 1.0), STRETCH)))
         if self.jumped:
             state.memory["jumped"], self.jumped = 1.0, False
@@ -225,9 +269,11 @@ class Switches:
             self.switched[k] = state.t, times
             if times > AGAIN:
                 raise StepFailure("switching", f"the gap of {self._names(k)} opens and closes without end", state.t)
-        self.sides = np.where(which, -self.sides, self.sides)
-        self.speeds = np.where(which, np.where(self.sides < 0, np.abs(here.rate), 0.0), self.speeds)
-        self.offsets, self.flips, self.bound = np.where(which, np.abs(here.gap), self.offsets), np.zeros(len(which)), 0.0
+        self.gaps.sides = np.where(which, -self.gaps.sides, self.gaps.sides)
+        self.gaps.speeds = np.where(which, np.where(self.gaps.sides < 0, np.abs(here.rate), 0.0), self.gaps.speeds)
+        self.gaps.offsets = np.where(which, np.abs(here.gap), self.gaps.offsets)
+        self.gaps.flips = np.zeros(len(which))
+        self.bound = 0.0
         s = self._jump(state, which, here)
         state.memory["switched"] = 1.0  # what Newton's method has measured does not hold for the forces of the far side
         return self._with_forces(state, *consistent_acceleration(self.model, state.t, state.q + s * state.v, state.v)) if s else state
@@ -244,7 +290,11 @@ class Switches:
         if not fast.any():
             return 0.0
         s = float(np.max((4 * np.abs(values.gap) + 10 * self._zero(state.q))[fast] / np.abs(values.rate)[fast]))
-        force = lambda s: self.model.force(state.t, state.q + s * state.v, state.v)  # noqa: E731
+
+        def force(s):
+            """Forces (n,) at the place s seconds along v from the state."""
+            return self.model.force(state.t, state.q + s * state.v, state.v)
+
         ahead = force(s)
         change, more = (float(np.abs(x).max()) for x in (ahead - force(-s), force(4 * s) - force(-4 * s)))
         return s if change > 1e-6 * np.abs(ahead).max() and more < JUMP * change else 0.0
@@ -260,10 +310,10 @@ class Switches:
     def _examine(self, state, after):
         """(the first Crossing in a step or None, the bound of a shorter one or 0)."""
         self.ahead, self.turned, self.changed = self._values(after.t, after.q, after.v), None, 0.0
-        length, closed = after.t - state.t, (self.sides < 0) & (self.speeds > 0)
+        length, closed = after.t - state.t, (self.gaps.sides < 0) & (self.gaps.speeds > 0)
         if after.within is None and not closed.any():
             fastest = np.maximum(np.abs(self.here.rate), np.abs(self.ahead.rate))
-            if (np.minimum(self.sides * self.here.gap, self.sides * self.ahead.gap) > FAR * length * fastest).all():
+            if (np.minimum(self.gaps.sides * self.here.gap, self.gaps.sides * self.ahead.gap) > FAR * length * fastest).all():
                 return None, 0.0
 
         def at(t):
@@ -275,23 +325,23 @@ class Switches:
         if closed.any() and (shorter := self._too_long(values, state, after, closed)):
             return None, shorter
         self.near = NEAR * np.abs([each.gap for each in values]).max(axis=0) + self._zero(state.q)
-        allowed = np.where(self._just_switched(), 4 * np.maximum(self.near, self.offsets), 0.0)
-        crossing = first_crossing(values, at, lambda t: self.model.gaps(t, between(state, after, t).q), self.sides, self.near, allowed)
+        allowed = np.where(self._just_switched(), 4 * np.maximum(self.near, self.gaps.offsets), 0.0)
+        crossing = first_crossing(values, at, lambda t: self.model.gaps(t, between(state, after, t).q), self.gaps.sides, self.near, allowed)
         if crossing is None:
-            distance = self.sides * self.ahead.gap
-            reached = (distance >= 0) & (distance <= self.near) & (self.sides * self.ahead.rate < 0) & ~self._just_switched()
+            openings = self.gaps.sides * self.ahead.gap  # distances from zero on the present side
+            reached = (openings >= 0) & (openings <= self.near) & (self.gaps.sides * self.ahead.rate < 0) & ~self._just_switched()
             if reached.any() and self._ends_within_jump(after, reached):
                 return Crossing(after.t, after.t, reached), 0.0
         return crossing, 0.0
 
     def _just_switched(self):
         """True for gaps that have just switched; round-off may put them on either side of zero."""
-        return np.abs(self.here.gap) <= self.offsets
+        return np.abs(self.here.gap) <= self.gaps.offsets
 
     def _too_long(self, values, state, after, closed):
         """The bound of a shorter step if this one changes the rate of a closed gap by too much; otherwise 0."""
         length, changes = after.t - state.t, np.ptp([each.rate for each in values], axis=0)
-        share = np.where(closed, 1.0 / np.maximum(np.maximum(self.speeds, SMALL * self.peaks), 1e-300), 0.0)
+        share = np.where(closed, 1.0 / np.maximum(np.maximum(self.gaps.speeds, SMALL * self.gaps.peaks), 1e-300), 0.0)
         self.changed = float((share * changes).max()) / (FIXED if self.coarse else VARIABLE)
         if self.coarse:
             accelerations = []
@@ -311,44 +361,62 @@ class Switches:
     def _to_switch(self, after, crossing):
         """Yield the states of a step, or of a few, to the first switch; none if that is at the step's beginning.
 
-        It is bracketed by `near`, the end of the best steps that do not cross (`states`), and `beyond`, the least time at which a trial crossed
-        or failed. The search ends when a gap is within `self.near`, when the bracket is round-off, or after TRIALS.
+        The switch is bracketed. The search ends when a gap is within `self.near`, when the bracket is round-off, or after TRIALS.
         """
-        state, whole = self.state, after.t - self.state.t
-        near, beyond, t, which, states, slow = state.t, after.t, crossing.guess, crossing.which, [], 0
-        if t - state.t < TOGETHER * whole:
-            self.state = self._flipped(state, which)
+        whole = after.t - self.state.t
+        bracket = Bracket(self.state.t, after.t, crossing.guess, crossing.which, [])
+        slow = 0  # trials that did not halve the bracket, in a row
+        if bracket.t - bracket.near < TOGETHER * whole:
+            self.state = self._flipped(self.state, bracket.which)
             return
         for _ in range(TRIALS):
-            width = beyond - near
-            tried, crossing = self._tried(t)
-            if crossing is None and tried:
-                states, near = tried, t
-                reached, left = self._reached(which, whole)
-                if reached.any():
-                    which = reached
-                    break
-                t = near + left
-            else:
-                beyond = min(t, beyond)  # not the time of its crossing: behind a jump of forces a shorter step has another motion
-                which, t = (which, near) if crossing is None else (crossing.which, crossing.guess)
-            self.counts.rejected += 1
-            slow = slow + 1 if beyond - near > 0.5 * width else 0
-            if beyond - near <= 8 * math.ulp(beyond):
+            width = bracket.beyond - bracket.near
+            tried, crossing = self._tried(bracket.t)
+            if self._shrink(bracket, tried, crossing, whole):
                 break
-            if not near < t < beyond or slow > PATIENCE:
-                t = 0.5 * (near + beyond)
+            self.counts.rejected += 1
+            slow = slow + 1 if bracket.beyond - bracket.near > 0.5 * width else 0
+            if bracket.beyond - bracket.near <= 8 * math.ulp(bracket.beyond):
+                break
+            if not bracket.near < bracket.t < bracket.beyond or slow > PATIENCE:
+                bracket.t = 0.5 * (bracket.near + bracket.beyond)
         else:
-            if not states:
-                raise StepFailure("switching", f"no step ends where the gap of {self._names(which)} changes sign", beyond)
-            which = np.zeros(len(which), bool)
-        if not states:
-            self.state = self._flipped(state, which)
-            return
-        is_last = tried is states
-        if not is_last:  # so that the steps taken last are those of the run
-            states, _ = self._tried(near)
-        self.goal, self.flips = near if which.any() else 0.0, which.astype(float)
+            if not bracket.states:
+                raise StepFailure("switching", f"no step ends where the gap of {self._names(bracket.which)} changes sign", bracket.beyond)
+            bracket.which = np.zeros(len(bracket.which), bool)
+        if not bracket.states:
+            self.state = self._flipped(self.state, bracket.which)
+        else:
+            yield from self._finish(bracket, tried)
+
+    def _shrink(self, bracket, tried, crossing, whole):
+        """Shrink the bracket by a trial, and choose the time of the next one. Returns True if the trial ends at the switch.
+
+        tried, crossing: what `_tried` returned for bracket.t. whole: the step that crossed first, s.
+        """
+        if crossing is None and tried:
+            bracket.states, bracket.near = tried, bracket.t
+            reached, left = self._reached(bracket.which, whole)
+            if reached.any():
+                bracket.which = reached
+                return True
+            bracket.t = bracket.near + left
+            return False
+        # not the time of its crossing: behind a jump of forces a shorter step has another motion
+        bracket.beyond = min(bracket.t, bracket.beyond)
+        if crossing is None:
+            bracket.t = bracket.near
+        else:
+            bracket.which, bracket.t = crossing.which, crossing.guess
+        return False
+
+    def _finish(self, bracket, tried):
+        """Yield the accepted states of the best steps of a bracket; tried: the states of the last trial."""
+        states = bracket.states
+        if tried is not states:  # so that the steps taken last are those of the run
+            states, _ = self._tried(bracket.near)
+        self.goal = bracket.near if bracket.which.any() else 0.0
+        self.gaps.flips = bracket.which.astype(float)
         for state in states:
             self.counts.steps += 1
             self._examine(self.state, state)
@@ -359,7 +427,7 @@ class Switches:
 
         whole: the step that crossed first, s.
         """
-        distance, speed = self.sides * self.ahead.gap, -self.sides * self.ahead.rate
+        distance, speed = self.gaps.sides * self.ahead.gap, -self.gaps.sides * self.ahead.rate
         closing = (distance > 0) & (speed > 0) & ~self._just_switched()
         is_near = (closing & (distance <= self.near)).any()
         reached = closing & is_near & (distance <= np.maximum(self.near, TOGETHER * speed * whole))

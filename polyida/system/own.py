@@ -20,35 +20,43 @@ from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, FACTOR, INSTANTS
 from polyida.system import dense as small
 
 SHORT, LONG = 5e-3, 20e-3  # s: wanted CPU time of a stretch
-VIEWS = 4096  # arrays at addresses that are stored
+MOST_VIEWS = 4096  # arrays at addresses that are stored
 SERVED = small.SERVED | dense_slots.SERVED
-ALONE = ctypes.CFUNCTYPE(ctypes.c_int64)  # called without reading its arguments: conversion of these takes 0.7 us a call
+WITHOUT_ARGUMENTS = ctypes.CFUNCTYPE(ctypes.c_int64)  # called without reading its arguments: conversion of these takes 0.7 us a call
 
 
 class PythonTable:
     """The table of any model: each entry is a callback.
 
-    functions: the addresses; workspace: address of the model's arrays, or 0. longest: steps of a stretch, chosen by the time that they take,
-    at most `most`: a stretch cannot be interrupted. raised: the exception of a callback, until the driver has returned. stages: those of a step of
-    Radau IIA, whose instants follow that of the step's beginning. ends: times of the first and the last end, or beside them inside the steps at
-    a kink. factored: the step matrix in `at_work` (of Radau IIA: Matrices in SELECT). rate_state, saddle: (t, q) of the last RATE that PROJECT
-    may follow, and the mass system there, None before PROJECT.
+    `prepare` sets the times of a stretch; `at_work` gives the addresses to the driver; `raise_error` follows its return. What subclasses answer
+    otherwise they put into `_entries`.
     """
 
-    longest = 1
-    instants = most = INSTANTS
-    workspace = stages = 0
-    increments = saddle = None
+    # may be set by a subclass before super().__init__:
+    instants = INSTANTS  # number of rows of `times`
+    most = INSTANTS  # largest `longest`: a stretch cannot be interrupted
+    stages = 0  # of a step of Radau IIA, whose instants follow that of the step's beginning
+    # state of the table:
+    longest = 1  # steps of a stretch, chosen by the time that they take
+    workspace = 0  # address of the model's arrays, or 0
+    increments = None  # increments of the constraints of each part of the step, or None
+    saddle = None  # mass system at `rate_state`, (t, q) of the last RATE; None before PROJECT
+    factored = None  # the step matrix in `at_work` (of Radau IIA: Matrices in SELECT)
 
     def __init__(self, model, incremental=False):
         """Make the table of a guarded model; incremental: True if its constraints are computed by increments from the step's beginning."""
-        self.incremental, self.model, self.raised, self.times = incremental, model, None, np.zeros((self.instants, 2))
-        self.unknowns = model.n
-        self.functions, self.callbacks, self.views = np.zeros(ENTRIES, np.int64), [], {}
-        self._fill()
+        self.incremental = incremental
+        self.model = model
+        self.raised = None  # the exception of a callback, until the driver has returned
+        self.times = np.zeros((self.instants, 2))  # s: of each instant, INNER and END
+        self.unknowns = model.n  # coordinates of Newton's method
+        self.functions = np.zeros(ENTRIES, np.int64)  # addresses
+        self.callbacks = []  # C functions, which must live as long as the table
+        self.views = {}  # {(address, size): array}
+        self._make_functions()
 
-    def _fill(self):
-        """Store the address of each entry in `functions`."""
+    def _make_functions(self):
+        """Store the address of each entry in `functions`. __init__ calls it: what it reads must be set before super().__init__."""
         for number, function in self._entries().items():
             self.functions[number] = self._address(function)
 
@@ -95,7 +103,11 @@ class PythonTable:
 
     def prepare(self, times, ends, h):
         """Prepare steps between the times. ends: the first and the last time, or times beside them inside the steps at a kink."""
-        count, self.begin, self.last, self.ends, self.h = len(times) - 1, times[0], times[-1], ends, h
+        count = len(times) - 1
+        self.begin = times[0]
+        self.last = times[-1]
+        self.ends = ends
+        self.h = h
         self.times[:count, small.INNER] = self.times[:count, small.END] = times[1:]
         self.times[count - 1, small.INNER] = ends[1]
 
@@ -126,7 +138,7 @@ class PythonTable:
         """The array (size,) at an address; stored, because drivers use the same addresses again and again."""
         view = self.views.get((at, size))
         if view is None:
-            if len(self.views) == VIEWS:
+            if len(self.views) == MOST_VIEWS:
                 self.views.clear()
             view = self.views[at, size] = np.frombuffer((ctypes.c_double * size).from_address(at)) if size else np.zeros(0)
         return view
@@ -217,8 +229,11 @@ class DenseTable(PythonTable):
     entries: tuple[int, ...] = RESIDUAL, BEGIN, CONSTRAINTS, FACTOR, SOLVE, RATE, PROJECT, ACCEPT
     levels = small.NO_LEVELS
 
-    def _fill(self):
-        """Make the workspace with the model's functions and what the model needs; the entries are compiled by `serve`."""
+    def _make_functions(self):
+        """Make the workspace with the model's functions and what the model needs; the entries are compiled by `serve`.
+
+        __init__ calls it: `stages` and `levels`, which it reads, must be set before super().__init__.
+        """
         model, needs = self.model, self.model.needs
         functions, flags = np.zeros(len(small.FUNCTIONS), np.int64), np.zeros(small.FLAGS, np.int64)
         flags[small.MASS_VARIES] = needs.mass_varies
@@ -232,7 +247,7 @@ class DenseTable(PythonTable):
         w = small.workspace(model.n, model.m, functions, 0, flags, self.stages, self.levels)
         self.w = w = w._replace(times=self.times)
         for name, function in self._functions(w).items():
-            functions[small.FUNCTIONS.index(name)] = self._kept(ALONE(function)) if function else 0
+            functions[small.FUNCTIONS.index(name)] = self._kept(WITHOUT_ARGUMENTS(function)) if function else 0
         if model.by_numba:
             self._take_compiled(functions)
         self.workspace, self.factored, self.has_constants = self.w.address, None, False
@@ -272,14 +287,17 @@ class DenseTable(PythonTable):
         }
 
     def _callback(self, out, function, t, *vectors):
-        """The callback that calls a function of the model with copies of the vectors, because the user may store them, and writes the result to `out`.
+        """A callback without arguments that writes function(t, *copies of the vectors) to `out`; its status is DONE or RAISED.
 
-        t: the function that gives the time, None if it is no argument. All is written here again, because each call in Python takes 0.1 us.
+        The vectors are copied because the user may store them. t: the function that gives the time, None if it is no argument. What a
+        CheckedFunction does is written here again, because each call in Python takes 0.1 us.
         """
-        seen, convert, explain = [(), None], dense, lambda error: error
+        shape = out.shape
+        first, *others = (x.copy for x in vectors)
         if isinstance(function, CheckedFunction):
-            seen, convert, explain, function = function.seen, function.array, function.explained, function.function
-        (first, *others), shape = [x.copy for x in vectors], out.shape
+            call, seen, convert, explain = function.function, function.seen, function.array, function.explained
+        else:
+            call, seen, convert, explain = function, [(), None], dense, lambda error: error
 
         def read_only(copy):
             """A read-only copy of a vector of the workspace; copy: its own method."""
@@ -292,8 +310,14 @@ class DenseTable(PythonTable):
             try:
                 q = first()
                 q.setflags(False)
-                seen[0] = arguments = (t(), q, *map(read_only, others)) if others else (t(), q) if t else (q,)
-                result = function(*arguments)
+                if others:
+                    arguments = t(), q, *map(read_only, others)
+                elif t:
+                    arguments = t(), q
+                else:
+                    arguments = (q,)
+                seen[0] = arguments
+                result = call(*arguments)
                 if type(result) is not ndarray or result.dtype is not FLOAT or result.shape != shape:
                     result = dense(convert(result))
                 seen[1] = out[...] = result

@@ -12,6 +12,7 @@ import numpy as np
 from polyida.errors import StepFailure
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.step_size import CUT, LAST_LEVEL, StepSizeController
+from polyida.integrate.alpha.steps import LONGER, SHORTER
 from polyida.integrate.discontinuities import Grid, grid_of, number_of_steps
 from polyida.integrate.engine import step_in_parts, steps_at_rest, too_many_steps
 from polyida.integrate.sizes import extent, states_at_rest
@@ -134,12 +135,12 @@ def _change_level(engine, controller, failures, t):
     if failures:
         _require_level(controller, CUT, failures)
         controller.level += CUT
-    if failures or engine.resize == "shorter":
+    if failures or engine.wanted_step == SHORTER:
         engine.counts.rejected += 1
-    if engine.resize == "shorter":
+    if engine.wanted_step == SHORTER:
         controller.reduce(engine.error)
         _require_level(controller, 0, [StepFailure("step size", "the local error stays above rtol and atol", t)])
-    elif engine.resize == "longer":
+    elif engine.wanted_step == LONGER:
         controller.raise_step(engine.error)
 
 

@@ -1,9 +1,8 @@
-"""The states from which generalized-alpha starts.
+"""The states from which generalized-alpha starts: at a run's beginning, behind a kink, at another step, after a step that was cut.
 
-`started` gives the states from which generalized-alpha starts: a run's beginning, behind a kink, at another step, after a step that was cut.
-The method's own state is (q, v, a_alg): a_alg is q'' at t + (alpha_m - alpha_f) h, and v deviates from the velocity constraint by `B l/h`,
-`l/h = (1 - 6 beta - 3 (alpha_m - alpha_f))/6 h^2 q'''`, which is the local error of q along the constraints (Arnold, Bruels 2007). A start
-without them gives a first-order transient in lam. In the stabilised form v satisfies its constraint.
+`started` gives them. The method's own state is (q, v, a_alg): a_alg is q'' at t + (alpha_m - alpha_f) h, and v deviates from the velocity
+constraint by `B l/h`, `l/h = (1 - 6 beta - 3 (alpha_m - alpha_f))/6 h^2 q'''`, which is the local error of q along the constraints (Arnold,
+Bruels 2007). A start without them gives a first-order transient in lam. In the stabilised form v satisfies its constraint.
 
 a_alg and v take from q'' and q''' what a step resolves, `F = (M + gamma h C + beta h^2 K)^-1 M`, constraints kept. F is
 1/(1 + beta h^2 omega^2) for a mode without damping, 1/(1 + gamma h d) for one of damping alone. The start is right for modes with h omega < 1
@@ -49,16 +48,17 @@ def started(settings, model, state, h, system=None):
     A state of this method with this step is not changed; one with another step is rescaled; behind a kink velocities and accelerations jump.
     Any other state begins a run. After a step that was cut a_alg is q''. system: a step matrix that is factored for h, or None.
     """
-    memory, right = state.memory, beside(state.t, h) if at_kink(model, state.t) else None
+    memory = state.memory
+    right = beside(state.t, h) if at_kink(model, state.t) else None  # the time behind a kink here
     if "a_alg" not in memory:
         state = behind_samples(model, state) if right is None else far_side(model, state, right)
         phi, rate = start_values(model, state, right)
         state = _with(state, a_alg=state.a, h=h, phi=phi, rate=rate)
         if settings.start == "plain" or "cut" in memory:
             return state
-        ahead, third = _resolved(settings, model, state, h, state.a, jerk(model, state, h, right))
-        deviation, rate = _velocity_deviation(settings, model, state, h, third)
-        return _with(state, v=state.v + deviation, a_alg=ahead, rate=state.memory["rate"] + rate)
+        a_alg, q3 = _resolved(settings, model, state, h, state.a, jerk(model, state, h, right))
+        deviation, rate_of_deviation = _velocity_deviation(settings, model, state, h, q3)
+        return _with(state, v=state.v + deviation, a_alg=a_alg, rate=state.memory["rate"] + rate_of_deviation)
     if right is not None:
         state = _behind_kink(settings, model, state, float(memory["h"]))
     elif (v := model.sampled(state.t, state.q, state.v)) is not state.v:
@@ -89,11 +89,12 @@ def _behind_kink(settings, model, state, h):
     after = consistent_acceleration(model, right, state.q, v)
     a, lam = state.a + after[0] - before[0], state.lam + after[1] - before[1]
     behind = _with(state, v=v, a=a, lam=lam)
-    third = jerk(model, behind, h, right) - jerk(model, state, -h, left)
-    ahead, third = _resolved(settings, model, behind, h, a - state.a, third)
+    jump_of_q3 = jerk(model, behind, h, right) - jerk(model, state, -h, left)
+    jump_of_a_alg, jump_of_q3 = _resolved(settings, model, behind, h, a - state.a, jump_of_q3)
     phi, rate = start_values(model, state, left)
-    deviation, more = _velocity_deviation(settings, model, state, h, third)
-    return _with(behind, v=v + deviation, a_alg=state.memory["a_alg"] + ahead, h=h, phi=phi, rate=rate + more)
+    deviation, rate_of_deviation = _velocity_deviation(settings, model, state, h, jump_of_q3)
+    a_alg = state.memory["a_alg"] + jump_of_a_alg
+    return _with(behind, v=v + deviation, a_alg=a_alg, h=h, phi=phi, rate=rate + rate_of_deviation)
 
 
 def _behind_samples(settings, model, state, v, h, system):
@@ -110,14 +111,20 @@ def _behind_samples(settings, model, state, v, h, system):
     inertia = model.mass_system(t, q)
     change, impulse = inertia.solve(jump, np.zeros(model.m))
     behind = _with(state, v=v, a=state.a + change, lam=state.lam + impulse)
-    s = h / 20  # the jump of q''' by a difference at one place, on the way of the motion before: what is the same on both sides cancels
-    t, q, speeds = t + s, q + s * state.v + s * s / 2 * state.a, [side.v + s * side.a for side in (state, behind)]
+    # the jump of q''' by a difference at one place, on the way of the motion before: what is the same on both sides cancels
+    s = h / 20
+    t = t + s
+    q = q + s * state.v + s * s / 2 * state.a
+    speeds = [side.v + s * side.a for side in (state, behind)]
     bias = model.phi_bias(t, q, speeds[1]) - model.phi_bias(t, q, speeds[0]) if model.m else np.zeros(0)
-    third = (model.mass_system(t, q).solve(model.force_change(t, q, *speeds), bias)[0] - change) / s
-    ahead, third = _resolved(settings, model, behind, h, change, third, system)
-    deviation, more = _velocity_deviation(settings, model, state, h, third, inertia)
+    jump_of_q3 = (model.mass_system(t, q).solve(model.force_change(t, q, *speeds), bias)[0] - change) / s
+    if system is None:
+        jump_of_a_alg, jump_of_q3 = _resolved(settings, model, behind, h, change, jump_of_q3)
+    else:
+        jump_of_a_alg = _resolved_by_factor(settings, model, behind, h, change, jump_of_q3, system)
+    deviation, rate_of_deviation = _velocity_deviation(settings, model, state, h, jump_of_q3, inertia)
     phi, rate = start_values(model, state)
-    return _with(behind, v=v + deviation, a_alg=state.memory["a_alg"] + ahead, phi=phi, rate=rate + more)
+    return _with(behind, v=v + deviation, a_alg=state.memory["a_alg"] + jump_of_a_alg, phi=phi, rate=rate + rate_of_deviation)
 
 
 def _rescaled(settings, model, state, h, right):
@@ -134,39 +141,48 @@ def _rescaled(settings, model, state, h, right):
     return _with(state, v=v, a_alg=state.a + scale * (memory["a_alg"] - state.a), h=h, phi=phi, rate=scale**2 * rate)
 
 
-def _resolved(settings, model, state, h, a, third, system=None):
-    """(q'' at t + (alpha_m - alpha_f) h, q''') that a step resolves, of q'' = a and q''' = third, or of their jumps.
+def _resolved(settings, model, state, h, a, q3):
+    """(a_alg, q''' used for v), (n,) each, that a step of h resolves, of q'' = a and q''' = q3, or their jumps for jumps.
 
-    system: a factored step matrix `c_m M + c_v C + K` of the method, which F may be computed from; q''' is then resolved in q'' alone, as F does
-    not change phi_q q'''.
+    a and q3 may be taped. a_alg is q'' at t + (alpha_m - alpha_f) h.
     """
-    if system is None:  # a and q''' may be taped
-        resolve = resolution(model, settings, state, h)
-        near, third = resolve(a), resolve(resolve(third))
-        return 2 * near - resolve(near) + settings.coefficients.offset * h * third, third
-    # F with beta (1 - alpha_f)/(1 - alpha_m) in place of beta, by `saddle` with r = -c_m M x and phi = -phi_q x; of both vectors at once. As
-    # phi_q F x = phi_q x, the rows of x serve F x too. The last solve gives -F^2 a + (alpha_m - alpha_f) h F^2 third.
-    c_m, mass, border = settings.coefficients.rates(h)[0], model.mass(state.q), model.phi_q(state.t, state.q)
-    resolve = lambda x, rows: system.saddle(state.t, state.q, state.lam, -c_m * (mass @ x), -rows)[0]  # noqa: E731
-    both, weights = np.stack([a, third], axis=1), (-1.0, settings.coefficients.offset * h)
-    rows = border @ both
-    near = resolve(both, rows)
-    return 2 * near[:, 0] + resolve(near @ weights, rows @ weights), third
+    resolve = resolution(model, settings, state, h)
+    once, q3 = resolve(a), resolve(resolve(q3))
+    return 2 * once - resolve(once) + settings.coefficients.offset * h * q3, q3
 
 
-def _velocity_deviation(settings, model, state, h, third, inertia=None):
-    """The deviation of v from the velocity constraint for q''' = third, and phi_q times it.
+def _resolved_by_factor(settings, model, state, h, a, q3, system):
+    """The a_alg of `_resolved`, (n,), with F from a factored step matrix `c_m M + c_v C + K` for h; a, q3: q'' and q''', or their jumps.
+
+    For v the caller uses q''' itself: F does not change phi_q q''', on which alone the deviation of v depends. F has here
+    beta (1 - alpha_f)/(1 - alpha_m) in place of beta; it is `saddle` with r = -c_m M x and phi = -phi_q x, for both vectors at once. As
+    phi_q F x = phi_q x, the rows of x serve F x too. The last solve gives -F^2 a + (alpha_m - alpha_f) h F^2 q'''.
+    """
+    c_m, mass, B = settings.coefficients.rates(h)[0], model.mass(state.q), model.phi_q(state.t, state.q)
+
+    def resolve(x, rows):
+        """F x for x (n,) or (n, columns); rows = phi_q x."""
+        return system.saddle(state.t, state.q, state.lam, -c_m * (mass @ x), -rows)[0]
+
+    both, weights = np.stack([a, q3], axis=1), (-1.0, settings.coefficients.offset * h)
+    rows = B @ both
+    once = resolve(both, rows)
+    return 2 * once[:, 0] + resolve(once @ weights, rows @ weights)
+
+
+def _velocity_deviation(settings, model, state, h, q3, inertia=None):
+    """(deviation of v from the velocity constraint (n,), phi_q times it (m,)) for q''' = q3; zero unless the form is index 3.
 
     inertia: the model's mass_system at the state, if it is known.
     """
     if not model.m or settings.form != "index3":
         return 0.0, np.zeros(model.m)
     c = settings.coefficients
-    offset = (1 - 6 * c.beta - 3 * c.offset) / 6 * h * h * third
-    border = rows_at(model, state.t, state.q) @ offset
+    offset = (1 - 6 * c.beta - 3 * c.offset) / 6 * h * h * q3
+    rate = rows_at(model, state.t, state.q) @ offset
     if model.velocity_rows.size:
-        border = border * ~np.isin(np.arange(model.m), model.velocity_rows)  # v satisfies these rows at every step
-    return (inertia or model.mass_system(state.t, state.q)).solve(np.zeros(model.n), -border)[0], border
+        rate = rate * ~np.isin(np.arange(model.m), model.velocity_rows)  # v satisfies these rows at every step
+    return (inertia or model.mass_system(state.t, state.q)).solve(np.zeros(model.n), -rate)[0], rate
 
 
 def _with(state, v=None, a=None, lam=None, **memory):
@@ -177,13 +193,19 @@ def _with(state, v=None, a=None, lam=None, **memory):
 
 @singledispatch
 def resolution(model, settings, state, h):
-    """The function x -> F x, (n,), with phi_q F x = phi_q x. Raises StepFailure if F does not exist."""
-    c, (t, q) = settings.coefficients, (state.t, state.q)
-    c_m, system = 1 / (c.beta * h * h), ExactSaddle(model, 1 / (c.beta * h * h), c.gamma / (c.beta * h), Counts())
+    """The function x -> F x, (n,), with phi_q F x = phi_q x; x and F x have the same unit. Raises StepFailure if F does not exist."""
+    c, t, q = settings.coefficients, state.t, state.q
+    c_m = 1 / (c.beta * h * h)  # 1/s^2
+    system = ExactSaddle(model, c_m, c.gamma / (c.beta * h), Counts())
     system.at(t, q, state.v, state.a, state.lam)
-    mass, border = system.M, system.B
+    mass, B = system.M, system.B
     try:
         system.solve(np.zeros(model.n), np.zeros(model.m))  # it raises if F does not exist
     except SingularSystem as error:
         raise StepFailure("singular", f"the start's M + gamma h C + beta h^2 K: {error}", t) from None
-    return lambda x: system.solve(c_m * (mass @ x), border @ x)[0]
+
+    def resolve(x):
+        """F x, (n,), by the equations of a step at the state."""
+        return system.solve(c_m * (mass @ x), B @ x)[0]
+
+    return resolve

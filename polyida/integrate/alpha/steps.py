@@ -11,6 +11,8 @@
 alpha/pieces.py takes fixed and adaptive steps of a smooth piece by it.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from polyida.clock import loading
@@ -28,10 +30,23 @@ from polyida.system.own import PythonTable, small_table
 
 ADAPTIVE = 128  # steps of a stretch if h may change
 NEAR = 0.03  # of the model's extent: from the start of a step that goes farther Newton's method may find another motion
+SHORTER, LONGER = "shorter", "longer"  # values of Steps.wanted_step
+
+
+class Ended(NamedTuple):
+    """How a call of the compiled loop ended that did not take all steps."""
+
+    status: int  # a status of errors.py, not DONE
+    new_factor: bool  # True if the factor was made for the step that failed
+    t: float  # s: end of that step
+    moved: float  # |dq| of its last iteration
 
 
 class Steps:
-    """Steps on one model: `begin` sets state and h, `run` goes on from there.
+    """Steps on one model.
+
+    Order of calls: `begin`; `stretch` again and again, or `run`, until the grid ends or `wanted_step` is set; then `error` and `state`. A run that
+    is resumed from a memory calls `restore_factor` before `begin`, and `recall` after it.
 
     recorder: its `begun(state, h)` is called at every beginning and `stepped(state)` for every state, of attempts that fail too; stretches then
     have one state. rows: a function of a count that returns arrays for so many frames, [q, v, a (count, n), lam (count, m)], or None.
@@ -41,7 +56,10 @@ class Steps:
 
     def __init__(self, settings, model, counts, control=None):
         """Make the arrays and the table of a model; control: the ErrorControl of adaptive steps, or None."""
-        self.settings, self.model, self.counts, self.control = settings, model, counts, control
+        self.settings = settings
+        self.model = model
+        self.counts = counts
+        self.control = control
         self.start, self.trial = step.empty(model.n, model.m)
         self.stabilised = settings.form == "stabilised" and model.m > 0
         self.incremental = settings.incremental_phi and model.has_constraint_increments
@@ -50,11 +68,19 @@ class Steps:
         self.unknowns = self.table.unknowns
         self.system = None  # the factor in use
         self.factored_for = None  # its h
-        self.spare = None  # a factor that the next one may overwrite
+        self.reusable_factor = None  # a factor that the next one may overwrite
         self.factors = FactorCache()  # of adaptive steps
-        self.method = None  # numbers of the method for the present h
+        self.method = None  # step.Method for the present h
+        self.numbers = None  # (10,) numbers of a step for the model, see _numbers
         self.weighed = False  # True if the weights of norms are set
-        self.resize = None  # "shorter" or "longer" if adaptive steps should be
+        self.wanted_step = None  # SHORTER or LONGER if adaptive steps should be
+        self.ended = None  # Ended of the last step, to be handled before the next stretch; None if it was taken
+        self.last = None  # the last State of the last stretch
+        self.times = None  # (count + 1,) s: ends of the prepared steps, and the begin of the first one
+        self.frames = None  # [q, v, a (count, n), lam (count, m)] that the prepared steps fill
+        self.first = 0  # number of prepared steps that are taken
+        self.count = 0  # number of prepared steps
+        self.waiting = []  # stretches of one state that the recorder has not seen, last first
         self.recorder = None
         self.rows = _no_rows
         self.longest = INSTANTS  # steps of the next stretch of a model with switches
@@ -81,11 +107,9 @@ class Steps:
         if model.needs.mass_varies or not self.weighed:
             self._weigh(weights(model, state.q))
         start.marks[:] = 0.0
-        self.resize = None
-        self.ended = None  # how the last step ended, (status, True if its factor was new, t, |dq|), to be handled before the next stretch
-        self.last = None  # the last State of the last stretch
-        self.first = self.count = 0  # prepared steps taken, and all
-        self.waiting = []  # stretches of one state that the recorder has not seen, last first
+        self.wanted_step = self.ended = self.last = None
+        self.first = self.count = 0
+        self.waiting = []
         if not same_factor:
             self._set_system(self.factors.get(h))
         if self.recorder is not None:
@@ -153,7 +177,7 @@ class Steps:
     def stretch(self, grid, done):
         """The states at the ends of the next steps of a grid, of which `done` are taken; None if h is to change first. Raises StepFailure."""
         if not self.waiting:
-            stretch = None if self.resize else self._stretch(grid, done)
+            stretch = None if self.wanted_step else self._stretch(grid, done)
             if stretch is None or self.recorder is None:
                 return stretch
             self.waiting = [stretch.part(k, k + 1) for k in reversed(range(len(stretch)))]
@@ -173,8 +197,9 @@ class Steps:
         """Prepare as many steps of a grid as the model's table takes at once, or as may be taken before the next pause."""
         if self.last is not None:
             self._limit_stretch(self.last.memory)
-        most = min(ADAPTIVE if self.control else np.inf, self.chunk_bytes // (48 * max(1, self.model.n)))
-        most = int(max(1, min(most, self.longest, self.table.longest, self.model.longest_stretch)))
+        fits_in_memory = self.chunk_bytes // (48 * max(1, self.model.n))
+        most = min(ADAPTIVE if self.control else np.inf, fits_in_memory, self.longest, self.table.longest, self.model.longest_stretch)
+        most = int(max(1, most))
         to_pause = self.pause - self.counts.steps
         h, n, m = self.method.h, self.model.n, self.model.m
         self.times = times = grid.times(done, end_of_stretch(grid, done, most, to_pause))
@@ -185,34 +210,45 @@ class Steps:
     def _stretch(self, grid, done):
         """The states of the next steps that one call of the compiled loop takes; None if h is to change first. Raises StepFailure."""
         if self.ended:
-            self._refactor_or_fail(*self.ended)
+            self._refactor_or_fail()
         if self.first == self.count:
             self._prepare(grid, done)
-        steps = 0
-        while not steps and self.resize is None:
-            first, new_factor = self.first, self.system is None
-            if new_factor:
-                step.predict(self.method._replace(unknowns=self.model.n), self.start, self.trial)
-                self._factor_here(first)
-            steps, ended, moved = self._steps(self.method, first, self.count, self.frames)
-            if not steps:
-                self.table.raise_error()
-            if not steps and new_factor and ended in (REFACTOR, INVERTED, NOT_FINITE):
-                steps, ended, moved = self._full_newton(first, self.frames)
-            self.first += steps
-            if ended in (ERROR_LARGE, ERROR_SMALL):
-                self.resize = "shorter" if ended == ERROR_LARGE else "longer"
-            elif ended != DONE:
-                self.ended = ended, new_factor and not steps, self.times[self.first + 1], moved
-                if not steps:
-                    self._refactor_or_fail(*self.ended)
+        first = self.first
+        while self.first == first and self.wanted_step is None:
+            self._take_one_call()
+            if self.ended and self.first == first:
+                self._refactor_or_fail()
+        return self._as_stretch(first, grid, done) if self.first > first else None
+
+    def _take_one_call(self):
+        """Take prepared steps by one call of the compiled loop, and set `first`, and `wanted_step` or `ended` if it did not take all."""
+        first, new_factor = self.first, self.system is None
+        if new_factor:
+            step.predict(self.method._replace(unknowns=self.model.n), self.start, self.trial)
+            self._factor_here(first)
+        steps, status, moved = self._steps(self.method, first, self.count, self.frames)
         if not steps:
-            return None
-        part = slice(first, self.first)
-        stretch = Stretch(self.times[1:][part], *(frame[part] for frame in self.frames))
-        if self.first == self.count or ended == ERROR_SMALL:
+            self.table.raise_error()
+        if not steps and new_factor and status in (REFACTOR, INVERTED, NOT_FINITE):
+            steps, status, moved = self._full_newton(first, self.frames)
+        self.first += steps
+        if status == ERROR_LARGE:
+            self.wanted_step = SHORTER
+        elif status == ERROR_SMALL:
+            self.wanted_step = LONGER
+        elif status != DONE:
+            self.ended = Ended(status, new_factor and not steps, self.times[self.first + 1], moved)
+
+    def _as_stretch(self, first, grid, done):
+        """The Stretch of the prepared steps from number `first` on; its last state has a memory where a run can go on.
+
+        done: steps of the grid taken before these.
+        """
+        taken = slice(first, self.first)
+        stretch = Stretch(self.times[1:][taken], *(frame[taken] for frame in self.frames))
+        if self.first == self.count or self.wanted_step == LONGER:
             last = stretch.last
-            last = State(last.t, last.q, last.v, last.a, last.lam, self._memory(grid.after(done + steps)))
+            last = State(last.t, last.q, last.v, last.a, last.lam, self._memory(grid.after(done + self.first - first)))
             stretch = Stretch(stretch.t, stretch.q, stretch.v, stretch.a, stretch.lam, last)
         self.last = stretch.last
         return stretch
@@ -229,16 +265,16 @@ class Steps:
             self.factored_for = method.h
         return result
 
-    def _refactor_or_fail(self, ended, new_factor, t, moved):
-        """Ask for a new factor behind a step to t that ended with an old one. Raises StepFailure if it was new (new_factor)."""
-        self.ended = None
+    def _refactor_or_fail(self):
+        """Ask for a new factor after a step that `ended` with an old one. Raises StepFailure if its factor was new."""
+        ended, self.ended = self.ended, None
         self.table.raise_error()
-        if not new_factor and ended not in (HALF_TURN, SINGULAR):
+        if not ended.new_factor and ended.status not in (HALF_TURN, SINGULAR):
             self.system = None
             self.start.marks[step.AHEAD] = self.start.marks[step.BEHIND] = 0.0
             return
         phi = float(np.abs(self.trial.phi).max(initial=0))
-        raise StepFailure(*REASONS[ended], t, **{"last |dq|": float(moved), "|phi|": phi})
+        raise StepFailure(*REASONS[ended.status], ended.t, **{"last |dq|": float(ended.moved), "|phi|": phi})
 
     def _full_newton(self, first, frames):
         """One step with a matrix made anew in every iteration, from the places at its start if it does not go far: no jump of a has distorted them."""
@@ -265,13 +301,13 @@ class Steps:
 
     def _factor_here(self, first):
         """A new factor at the trial state of step `first`."""
-        t, (q, v, a), lam = self.times[first + 1], self.trial.now[:3].copy(), self.trial.lam.copy()
-        method = self.method
+        t, method, trial = self.times[first + 1], self.method, self.trial
+        q, v, a, lam = trial.q.copy(), trial.v.copy(), trial.a.copy(), trial.lam.copy()
         self._factor(t, lambda system: self.table.factor(system, t, q, v, a, lam, method.to_a, method.to_v), method.h)
 
     def _factor(self, t, make, h):
         """A new factor for steps of h by make(system), which returns the number of residuals it took, or None."""
-        system = self.spare or self.table.system(self.settings)
+        system = self.reusable_factor or self.table.system(self.settings)
         self.counts.add(factors=1)
         try:
             self.counts.add(residuals=make(system) or 0)
@@ -283,7 +319,7 @@ class Steps:
         if self.control:
             self.factors.keep(h, system)
         else:
-            self.spare = system  # the next factor overwrites it
+            self.reusable_factor = system  # the next factor overwrites it
 
     @property
     def error(self):

@@ -65,11 +65,33 @@ class Problem(NamedTuple):
         return Problem(G, self.b[which], self.start[which], self.lam, self.Y[:, which], self.held_below[which], self.slip[which])
 
 
+class Accelerations(NamedTuple):
+    """Consistent accelerations and forces at a state, of `Contacts.accelerations`."""
+
+    a: np.ndarray  # (n,)
+    lam: np.ndarray  # (equations,)
+    p: np.ndarray  # (k,) pressures of the rows with laws
+    status: np.ndarray  # (k,) int
+
+
+class ImpactResult(NamedTuple):
+    """What `Contacts.impact` returns."""
+
+    v: np.ndarray  # (n,) velocities after it
+    impulses: np.ndarray  # (k,) P of the rows with laws, N s
+    change: np.ndarray  # (equations,) change of the impulses of the equations, N s
+    status: np.ndarray  # (k,) int; OPEN for what rebounds
+
+
 class Contacts:
     """The rows with laws of a model. rows: their numbers; equations: those of the other rows; base: the model with these alone.
 
     on_laws, on_equations (., 2): pairs of a row of friction and a row that presses it, among the rows with laws and among the equations.
-    Vectors (k,) are of all rows with laws, in this order, unless a group is named. Results that are asked for again at the same state are kept.
+    Vectors (k,) are of all rows with laws, in this order, unless a group is named.
+
+    Results that are asked for again are kept: the last one of `active` (by the mask), `mobility` (by the array B itself), `rates` (by the arrays
+    q and v and the time) and `still` (by the array v); up to KEPT of `slopes` (by the rows, at one q), `mass_columns` (by the array B) and `group`
+    (by the rows). An array is compared by identity, not by its numbers: nobody writes into one that was passed.
     """
 
     def __init__(self, model):
@@ -84,9 +106,13 @@ class Contacts:
         self.restitution = np.array([law.restitution or 0.0 for law in laws])
         self.mu = np.array([law.mu for law in laws], float)
         self.constant = np.array([law.constant for law in laws], float)
-        self._slopes, self._columns, self._groups = {}, {}, {}
-        self._rates = (None, None, None, None)
-        self._active = self._mobility = self._still = (None, None)
+        self._slopes = {}  # {(type, bytes) of the rows: (q, t, model, slopes)}
+        self._columns = {}  # {id(B): (B, X, Y, G)}
+        self._groups = {}  # {bytes of the mask: Group}
+        self._rates = (None, None, None, None)  # q, v, t and the rates there
+        self._active = (None, None)  # bytes of `closed`, and the rows active then
+        self._mobility = (None, None)  # B and its mobility
+        self._still = (None, None)  # v and the rate below which friction sticks
         self.turning = model.needs.phi_q_varies or model.needs.driven
         self.speed = max(float(np.sqrt(model.free_fall * (model.extent or 1.0))), 1e-6)
         masses = np.abs(model.mass(np.zeros(model.n)).diagonal())
@@ -166,9 +192,9 @@ class Contacts:
         return G, self.mobility(B), Y
 
     def solve(self, t, group, problem, scale=1.0, slips=False):
-        """(p, status) of the rows of a group, by its Problem. Raises StepFailure.
+        """(p (k,), status (k,) int) of the k rows of a group, by its Problem. Raises StepFailure.
 
-        scale: of the friction's constant. slips: True if rows with a slip go on to slip.
+        It writes c, sign, l and L of `group.cone`: a Group has the arrays of the problem that was solved last, not those of a state. scale: of the friction's constant. slips: True if rows with a slip go on to slip.
         """
         slip = problem.slip
         fixed = problem.G.diagonal() <= problem.held_below
@@ -222,7 +248,7 @@ class Contacts:
         result[group.rows] = values
         return result
 
-    def all(self, lam, p, group=None):
+    def all_multipliers(self, lam, p, group=None):
         """lam (m,) of all rows of the model, from lam of the equations, and p of all rows with laws or of those of a group."""
         result = np.zeros(self.model.m)
         result[self.equations] = lam
@@ -259,7 +285,7 @@ class Contacts:
         except StepFailure:
             closed = np.zeros(len(closed), bool)
             a, lam, p, _ = self.accelerations(t, q, v, closed)
-        return State(t, q, v, a, self.all(lam, p), {"closed": closed, "p": p, "a_alg": a})
+        return State(t, q, v, a, self.all_multipliers(lam, p), {"closed": closed, "p": p, "a_alg": a})
 
     def with_known_forces(self, state, lam):
         """The State with consistent forces, from one of the equations; lam: forces nearby, of which contacts press and friction sticks or slips."""
@@ -267,10 +293,10 @@ class Contacts:
         bounds = np.array([law.constant + law.mu * np.linalg.norm(lam[list(law.on)]) for law in self.model.row_laws])
         status = np.where(~self.contact & (np.abs(p) < WITHIN * bounds), STICKS, OPEN)
         a, lam, p, _ = self.accelerations(state.t, state.q, state.v, self.contact & (p > 0.0), p, status=status)
-        return State(state.t, state.q, state.v, a, self.all(lam, p))
+        return State(state.t, state.q, state.v, a, self.all_multipliers(lam, p))
 
     def accelerations(self, t, q, v, closed, p=None, begins=0.0, status=None, dwells=()):
-        """(a, lam of the equations, p, status): consistent accelerations and forces.
+        """Accelerations that are consistent at a state, with their forces.
 
         closed: contacts that are closed and at rest. begins: 0, or the direction in which rows of friction at rest begin to slip. status: of
         the rows, if it is known which stick; their rates are round-off then. dwells: numbers of rows of friction that equations hold at rest;
@@ -281,8 +307,8 @@ class Contacts:
         force, bias = model.force(t, q, v), model.phi_bias(t, q, v) if model.m else np.zeros(0)
         a, lam = self.base.mass_system(t, q).solve(force, bias[self.equations])
         if not len(rows):
-            return a, lam, np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64)
-        slip = self.slip(group, self.rates(t, q, v), self.still(v))
+            return Accelerations(a, lam, np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64))
+        slip = self.signs_of_slip(group, self.rates(t, q, v), self.still(v))
         if status is not None:
             slip[status[rows] == STICKS] = 0.0
         slip = np.where(slip == 0.0, np.broadcast_to(begins, len(self.rows))[rows], slip)
@@ -290,20 +316,20 @@ class Contacts:
         slip[dwelling] = 0.0
         B = self.slopes(t, q, rows)
         X, Y, G = self.mass_columns(t, q, B)
-        now = B @ a + bias[group.of_model]  # accelerations of the rows without forces
-        size = np.abs(B) @ (np.abs(a) + np.abs(force).max(initial=0.0) / self.inertia)
+        free = B @ a + bias[group.of_model]  # accelerations of the rows without their forces
+        round_off_scale = np.abs(B) @ (np.abs(a) + np.abs(force).max(initial=0.0) / self.inertia)
         # friction that accelerates without forces is not held, though its G_ii is zero at a dead point of the equations
-        accelerates = group.friction & (np.abs(now) > MOVES * size) & ~dwelling
+        accelerates = group.friction & (np.abs(free) > MOVES * round_off_scale) & ~dwelling
         held_below = np.where(accelerates, -np.inf, FIXED * self.mobility(B))
         start = np.zeros(len(rows)) if p is None else p[rows]
-        p, status = self.solve(t, group, Problem(G, now, start, lam, Y, held_below, slip), slips=True)
-        return a + X @ p, lam + Y @ p, self.spread(group, p), self.spread(group, status)
+        p, status = self.solve(t, group, Problem(G, free, start, lam, Y, held_below, slip), slips=True)
+        return Accelerations(a + X @ p, lam + Y @ p, self.spread(group, p), self.spread(group, status))
 
     def impact(self, t, q, v, before, closed, p, lam, h, wanted=None, plastic=None):
-        """(v, P of the rows with laws, change of the equations' impulses, status) after an impact or at a step's end; what rebounds is OPEN.
+        """The ImpactResult with the velocities at which all impulses satisfy the laws, after an impact or at a step's end.
 
-        v: velocities with the impulses h p and h lam. before: rates of the rows with laws before the impact. closed: the contacts at which
-        velocities must open. h: 0 for an impact at an instant. wanted: rates at which friction would stick. plastic: True for contacts without
+        v: velocities with the impulses h p and h lam, N s or N m s. before (k,): rates of the rows with laws before the impact. closed: the contacts
+        at which velocities must open. h: s; 0 for an impact at an instant. wanted (k,): rates at which friction would stick. plastic: True for contacts without
         restitution.
 
         With friction, Newton's law of restitution may add energy where slip reverses (Kane, Levinson, Dynamics, 1985). All coefficients are
@@ -315,33 +341,34 @@ class Contacts:
             rate = self.rates(t, q, v)
         rows = group.rows
         if not len(rows):
-            return v, np.zeros(len(self.rows)), np.zeros(len(self.equations)), np.zeros(len(self.rows), np.int64)
-        p, before = p[rows], before[rows]
+            none = np.zeros(len(self.rows))
+            return ImpactResult(v, none, np.zeros(len(self.equations)), np.zeros(len(self.rows), np.int64))
+        p_group, before_group = p[rows], before[rows]
         B = self.slopes(t, q, rows)
         X, Y, G = self.mass_columns(t, q, B)
-        slip, rate = self.slip(group, rate, self.still(v)), rate[group.of_model]
-        free = rate - h * (G @ p)  # without the impulses of the rows
-        back = self._rebounds(rows, before, free, h, plastic)
+        slip, rate = self.signs_of_slip(group, rate, self.still(v)), rate[group.of_model]
+        free = rate - h * (G @ p_group)  # without the impulses of the rows
+        back = self._rebounds(rows, before_group, free, h, plastic)
         bounces = back.any()
         shift = 0.0 if wanted is None else -wanted[rows]
-        start, held_below = h * p, FIXED * self.mobility(B)
+        start, held_below = h * p_group, FIXED * self.mobility(B)
 
         def rebound(share):
             """(P, status, change, work of it) of the active rows with this share of the restitution."""
-            problem = Problem(G, free + share * back + shift, start, h * (lam - Y @ p), Y, held_below, slip)
+            problem = Problem(G, free + share * back + shift, start, h * (lam - Y @ p_group), Y, held_below, slip)
             P, status = self.solve(t, group, problem, h)
             change = P - start
-            return P, status, change, 0.5 * (before + rate + G @ change) @ change
+            return P, status, change, 0.5 * (before_group + rate + G @ change) @ change
 
         P, status, change, work = rebound(1.0)
-        if bounces and work > GAINED * float(np.abs(before * change).sum()):
+        if bounces and work > GAINED * float(np.abs(before_group * change).sum()):
             # in a step the work is known to the order of h only, and energy must not grow: the square leaves a margin for that
             share = _largest_without_gain(rebound) ** (2 if h else 1)
             P, status, change, _ = rebound(share)
             back = share * back
         if bounces:
             status[back != 0.0] = OPEN
-        return v + X @ change, self.spread(group, P), Y @ change, self.spread(group, status)
+        return ImpactResult(v + X @ change, self.spread(group, P), Y @ change, self.spread(group, status))
 
     def _rebounds(self, rows, before, free, h, plastic):
         """Rates of rows behind an impact by the law of restitution, times -1; before, free: their rates before it, and without impulses.
@@ -371,10 +398,12 @@ class Contacts:
         if not slipped.any():
             return None
 
-        # accelerations of the rows that slipped, before and behind the reversal
-        rows_of = lambda t, q, v, a: self.slopes(t, q, slipped) @ a + self.model.phi_bias(t, q, v)[self.rows][slipped]  # noqa: E731
+        def rows_of(t, q, v, a):
+            """Accelerations of the rows that slipped, by the accelerations a (n,) at a state."""
+            return self.slopes(t, q, slipped) @ a + self.model.phi_bias(t, q, v)[self.rows][slipped]
+
         before, ahead = before[slipped], rows_of(state.t, state.q, state.v, state.a)
-        behind = rows_of(t, q, v, self.accelerations(t, q, v, closed, p)[0])
+        behind = rows_of(t, q, v, self.accelerations(t, q, v, closed, p).a)
         with np.errstate(divide="ignore"):
             left = (t - state.t) + before / ahead  # time that is left behind the reversal
         goes_on = (ahead * before < 0.0) & (left > 0.0) & (behind * before < 0.0)
@@ -382,7 +411,7 @@ class Contacts:
         wanted[slipped] = np.where(goes_on, behind * left, 0.0)
         return wanted if goes_on.any() else None
 
-    def slip(self, group, rates, still):
+    def signs_of_slip(self, group, rates, still):
         """Signs of the rates of friction in a group, 0 for rows that stick, up to `still`, and for contacts. rates: of all rows of the model."""
         rate = rates[group.of_model]
         return np.where(group.friction & (np.abs(rate) > still), np.sign(rate), 0.0)

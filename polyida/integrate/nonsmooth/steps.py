@@ -37,13 +37,32 @@ JUMPED = 1e-2  # of the force of friction in the step before: a larger change is
 EXACT = 1e-13  # of |q| and the model's extent: change of q that is round-off
 
 
+class Together(NamedTuple):
+    """Columns of the k rows asked for last."""
+
+    key: bytes  # the numbers of the rows
+    slopes: Any = None  # (k, n) where the columns were made
+    X: Any = None  # (k, n), transposed
+    Y: Any = None  # (k, equations), transposed
+
+
+class Product(NamedTuple):
+    """G = B X of the rows asked for last."""
+
+    slopes: Any = None  # B (k, n), compared by identity
+    G: Any = None  # (k, k)
+
+
+NO_ROWS = Together(b"")
+
+
 class Columns:
     """Columns (X, Y) of the rows with laws by the factor of S, as Newton's method only needs them nearly: kept from one step to the next.
 
     They are made again where rows turn, where the method is slow, and where its iterations beyond the least cost more than new ones.
 
-    known: {row: (slope, X, Y)} of single rows. together: (rows as bytes, slopes, X^T, Y^T) of the rows asked for last; product: (B, B X) of the
-    same. least: fewest iterations of a step; wasted: those beyond it since the columns were made.
+    known: {row: (slope, X, Y)} of single rows. together, product: Together and Product of the rows asked for last. least: fewest iterations of a
+    step; wasted: those beyond it since the columns were made.
     """
 
     def __init__(self, contacts):
@@ -53,29 +72,37 @@ class Columns:
 
     def forget(self):
         """Drop all columns, so that they are made again."""
-        self.known, self.together, self.product = {}, (b"",), (None, None)
-        self.least, self.wasted = np.inf, 0
+        self.known = {}
+        self.together = NO_ROWS
+        self.product = Product()
+        self.least = np.inf
+        self.wasted = 0
 
     def of(self, active, B, system, *at):
         """(X (n, k), Y (equations, k), G = B X) of the active rows with the slopes B, and the number of new ones. at: t, q, lam of the equations."""
+
+        def solve(r, phi):
+            """(dq, dlam) of `S dq + B_e^T dlam = -r`, `B_e dq = -phi`, for columns r and phi."""
+            return system.saddle(*at, r, phi)
+
         key, count = active.tobytes(), 0
-        solve = lambda r, phi: system.saddle(*at, r, phi)  # noqa: E731
         if not len(B):
             return *self.contacts.columns(solve, B), np.zeros((0, 0)), 0
-        if self.together[0] != key:
+        if self.together.key != key:
             rows = active.tolist()
             new = [k for k, row in enumerate(rows) if row not in self.known]
             if count := len(new):
                 made = self.contacts.columns(solve, B[new])
                 self.known |= {rows[k]: (B[k], x, y) for k, x, y in zip(new, *map(np.transpose, made))}
-            self.together, self.product = (key, *map(np.array, zip(*(self.known[row] for row in rows)))), (None, None)
-        _, before, X, Y = self.together
-        if self.contacts.turning and np.abs(B - before).max() > TURNED * np.abs(B).max():
+            self.together = Together(key, *map(np.array, zip(*(self.known[row] for row in rows))))
+            self.product = Product()
+        X, Y = self.together.X, self.together.Y
+        if self.contacts.turning and np.abs(B - self.together.slopes).max() > TURNED * np.abs(B).max():
             self.forget()
             return self.of(active, B, system, *at)
-        if self.product[0] is not B:
-            self.product = B, B @ X.T
-        return X.T, Y.T, self.product[1], count
+        if self.product.slopes is not B:
+            self.product = Product(B, B @ X.T)
+        return X.T, Y.T, self.product.G, count
 
     def served(self, iterations, k):
         """Count the iterations of a step with k columns."""
@@ -168,7 +195,7 @@ class Steps:
                 factored, last, count = True, 0.0, 0
             if count > 2 and contraction > SLOW:
                 self.columns.forget()
-            r, rate = step.residual(model, q, v, a, contacts.all(lam, p, group)), model.phi_rate(t, q, v)
+            r, rate = step.residual(model, q, v, a, contacts.all_multipliers(lam, p, group)), model.phi_rate(t, q, v)
             dq, dlam, p = self._correction(t, model, Unknowns(q, v, a, lam, p), step, group, r, rate, still)
             q, v, a, lam = q + dq, v + step.v_q * dq, a + step.a_q * dq, lam + dlam
             moved, count = self._norm(dq), count + 1
@@ -183,25 +210,25 @@ class Steps:
             factored, last = count < MANY, moved
         raise StepFailure("newton", f"Newton's method does not converge in {self.settings.max_iterations} iterations", t)
 
-    def _correction(self, t, model, at, step, group, r, rate, still):
+    def _correction(self, t, model, iterate, step, group, r, rate, still):
         """(dq, dlam, p of the active rows) of an iteration: the equations' correction, then the cone problem. Raises StepFailure."""
         contacts = self.contacts
-        B = contacts.slopes(t, at.q, group.rows, model)
+        B = contacts.slopes(t, iterate.q, group.rows, model)
         try:
-            dq, dlam = self.system.saddle(t, at.q, at.lam, r, rate[contacts.equations] / step.v_q)
-            X, Y, G, new = self.columns.of(group.rows, B, self.system, t, at.q, at.lam)
+            dq, dlam = self.system.saddle(t, iterate.q, iterate.lam, r, rate[contacts.equations] / step.v_q)
+            X, Y, G, new = self.columns.of(group.rows, B, self.system, t, iterate.q, iterate.lam)
         except SingularSystem as error:
             raise StepFailure("singular", str(error), t) from None
         self.counts.solves += new
         self.counts.add(residuals=1, iterations=1)
         if not len(B):
-            return dq, dlam, at.p
+            return dq, dlam, iterate.p
         back = step.back[group.rows] / step.v_q if np.any(step.back) else 0.0
         now = rate[group.of_model] / step.v_q + back + B @ dq
-        slip, held_below = contacts.slip(group, rate, still), FIXED * contacts.mobility(B) / step.c_m
-        problem = Problem(G, now - G @ at.p, at.p, at.lam + dlam - Y @ at.p, Y, held_below, slip)
+        slip, held_below = contacts.signs_of_slip(group, rate, still), FIXED * contacts.mobility(B) / step.c_m
+        problem = Problem(G, now - G @ iterate.p, iterate.p, iterate.lam + dlam - Y @ iterate.p, Y, held_below, slip)
         p, _ = contacts.solve(t, group, problem, step.scale)
-        change = p - at.p
+        change = p - iterate.p
         return dq + X @ change, dlam + Y @ change, p
 
     def _allowed(self, a0, a):
@@ -218,26 +245,39 @@ class Steps:
         """The State after a step of NonsmoothAlpha."""
         contacts, c, memory = self.contacts, self.settings.coefficients, state.memory
         size, closed = extent(self.model, state.q), np.asarray(memory["closed"], bool)
-        q, v, a, lam, p = self._smooth_motion(state, t, h, closed, size)
+        # 1. generalized-alpha
+        smooth = self._smooth_motion(state, t, h, closed, size)
+        a = smooth.a
         a_alg = ((1.0 - c.alpha_f) * a + c.alpha_f * state.a - c.alpha_m * memory["a_alg"]) / (1.0 - c.alpha_m)
+        # 2. positions
+        q, touching = contacts.place(t, smooth.q, contacts.contact & (smooth.p > 0.0), size)
+        # 3. velocities
+        before, free = contacts.rates(state.t, state.q, state.v)[contacts.rows], contacts.rates(t, q, smooth.v)[contacts.rows]
+        impact, rate, remaining = self._velocities(state, t, h, q, smooth, before, touching)
+        impacts = _impacts(contacts, touching & ~closed, impact.impulses, free, rate, h * state.lam[contacts.rows])
 
-        q, touching = contacts.place(t, q, contacts.contact & (p > 0.0), size)
-
-        before, free = contacts.rates(state.t, state.q, state.v)[contacts.rows], contacts.rates(t, q, v)[contacts.rows]
-        v, P, change, status = contacts.impact(t, q, v, before, touching, p, lam, h)
-        rate, remaining = contacts.remaining(t, q, v, touching, status)
-        wanted = contacts.reversals(state, t, q, v, before, remaining, p)
-        if wanted is not None:
-            v, P, change, status = contacts.impact(t, q, v, before, touching, P / h, lam + change / h, h, wanted)
-            rate, remaining = contacts.remaining(t, q, v, touching, status)
-        impacts = _impacts(contacts, touching & ~closed, P, free, rate, h * state.lam[contacts.rows])
-
-        lam, p = lam + change / h, P / h
-        total = contacts.all(lam, p)
+        v, status = impact.v, impact.status
+        mean_p = p = impact.impulses / h
+        lam_of_all_rows = contacts.all_multipliers(smooth.lam + impact.change / h, mean_p)
         if (remaining != closed).any() or (status != memory.get("status", status))[~contacts.contact].any():
-            a, _, p, _ = contacts.accelerations(t, q, v, remaining, p, status=status)
+            a, _, p, _ = contacts.accelerations(t, q, v, remaining, mean_p, status=status)
             a_alg = a
-        return self._accepted(t, q, v, a, total, {"a_alg": a_alg, "closed": remaining, "p": p, "status": status} | impacts)
+        return self._accepted(t, q, v, a, lam_of_all_rows, {"a_alg": a_alg, "closed": remaining, "p": p, "status": status} | impacts)
+
+    def _velocities(self, state, t, h, q, smooth, before, touching):
+        """(ImpactResult, rates of the rows with laws after it, contacts that stay closed) at a step's end; once more where slip reverses.
+
+        q: the position at the end. smooth: the Unknowns of the smooth motion. before: rates of the rows with laws at the step's start.
+        """
+        contacts = self.contacts
+        impact = contacts.impact(t, q, smooth.v, before, touching, smooth.p, smooth.lam, h)
+        rate, remaining = contacts.remaining(t, q, impact.v, touching, impact.status)
+        wanted = contacts.reversals(state, t, q, impact.v, before, remaining, smooth.p)
+        if wanted is not None:
+            p, lam = impact.impulses / h, smooth.lam + impact.change / h
+            impact = contacts.impact(t, q, impact.v, before, touching, p, lam, h, wanted)
+            rate, remaining = contacts.remaining(t, q, impact.v, touching, impact.status)
+        return impact, rate, remaining
 
     def _smooth_motion(self, state, t, h, closed, size):
         """The Unknowns of generalized-alpha at a step's end, with the rows that are closed at its start."""
@@ -265,7 +305,11 @@ class Steps:
         closed = contacts.contact & (contacts.gaps(state.t, q0) + 0.5 * h * before <= TOUCH * size)
         active = contacts.active(closed)
         back = np.where(closed, contacts.restitution * np.minimum(before, 0.0), 0.0)
-        residual = lambda model, q, v, a, lam: model.residual(t, q, v, a / theta, lam) + (1.0 / theta - 1.0) * force  # noqa: E731
+
+        def residual(model, q, v, a, lam):
+            """r(t, q, v, a/theta, lam) + (1/theta - 1) force, (n,); force: that of the step's start."""
+            return model.residual(t, q, v, a / theta, lam) + (1.0 / theta - 1.0) * force
+
         p = np.where(active, -state.lam[contacts.rows] / theta, 0.0)
         start = Unknowns(q0 + h * v0, v0, np.zeros(model.n), state.lam[contacts.equations] / theta, p)
         step = StepEquations(residual, v_q * v_q, v_q, v_q / h, back, 1.0 / theta)
@@ -273,7 +317,7 @@ class Steps:
         p, approaching = theta * p, closed & (before < -contacts.still(v0))
         after, last = model.phi_rate(t, q, v)[contacts.rows], h * state.lam[contacts.rows]
         impacts = _impacts(contacts, approaching, h * p, before, after, last)
-        return self._accepted(t, q, v, a, contacts.all(theta * lam, p), {"a_alg": a, "closed": closed, "p": p} | impacts)
+        return self._accepted(t, q, v, a, contacts.all_multipliers(theta * lam, p), {"a_alg": a, "closed": closed, "p": p} | impacts)
 
     def _accepted(self, t, q, v, a, lam, memory):
         """The State, unless the model rejects it. Raises StepFailure."""
@@ -285,7 +329,9 @@ class Steps:
 def _impacts(contacts, rows, P, before, after, last):
     """{"impacts": (k, 3)}: number of the law, impulse, and energy lost, of the contacts in `rows` that were hit with their friction; or {}.
 
-    So are rows of friction elsewhere whose force jumped in that step. last: their lam of the step before, times h.
+    So are rows of friction elsewhere whose force jumped in that step.
+
+    rows (k,): bool. P (k,), N s. before, after (k,): rates. last (k,): their lam of the step before, times h.
     """
     hit, lost = rows & (P > 0.0), -0.5 * P * (before + after)
     if not hit.any():

@@ -30,41 +30,35 @@ class Collocation(NamedTuple):
     def __call__(self, t):
         """The State at a time t of the step."""
         s = (t - self.t) / self.h
-        rest = through(self.c, s)
-        moved = s / self.c * rest  # q - q_0 and v - v_0 are zero at the start
+        weights = through(self.c, s)
+        weights_from_zero = s / self.c * weights  # q - q_0 and v - v_0 are zero at the start
         e, dv, a, lam = self.stages
-        q = self.q + ((t - self.t) * self.v + moved @ e)
-        return State(float(t), q, self.v + moved @ dv, rest @ a, rest @ lam, restart=False)
+        q = self.q + ((t - self.t) * self.v + weights_from_zero @ e)
+        return State(float(t), q, self.v + weights_from_zero @ dv, weights @ a, weights @ lam, restart=False)
 
 
 class StretchData(NamedTuple):
-    """Data that the States of a stretch share.
+    """Data that the States of a stretch share; s: number of stages."""
 
-    record: results of its steps. begin: (t, q, v) at its start. misses_before: {name: prediction errors of the steps before, newest first}. c:
-    nodes. factor_states: where the factors were made that it began with. memory: what the memory of all its states has. position_memory: function
-    (number of a step, level) -> further memory. motion: (model, function that clamps t) to compute a and lam of a state when they are asked for;
-    None if the record has them. counts_at: function (number of a step) -> {name: count}. states: the State objects in use, by number.
-    """
-
-    record: Record
-    begin: tuple
-    misses_before: dict
-    c: np.ndarray
-    factor_states: np.ndarray
-    by_increments: bool
-    memory: dict
-    position_memory: Any
-    motion: Any
-    counts_at: Any
-    states: WeakValueDictionary
+    record: Record  # results of its steps
+    begin: tuple  # (t, q, v) at its start
+    misses_before: dict  # {"miss_e", "miss_lam", "mu": (TERMS, s, .)}: prediction errors of the steps before it, newest first
+    c: np.ndarray  # (s,) nodes
+    factor_states: np.ndarray  # (slots, 1 + 3 n + m): t, q, v, a, lam where the factors were made that it began with
+    by_increments: bool  # True if constraints are computed by increments
+    memory: dict  # what the memory of all its states has
+    position_memory: Any  # function (number of a step, level) -> further memory
+    motion: Any  # (model, function that clamps t): a and lam of a state are computed when they are read; None: the record has them
+    counts_at: Any  # function (number of a step) -> {name: count}
+    states: WeakValueDictionary  # {number of a step: the State of its end} of those in use
 
 
 class StretchStates(Stretch):
     """The States at the ends of the steps whose numbers are in the range `which`."""
 
-    def __init__(self, s, which):
-        """Take the stretch s; which: range of the numbers of its steps."""
-        self._stretch, self._which = s, which
+    def __init__(self, stretch, which):
+        """Take the StretchData; which: range of the numbers of its steps."""
+        self._stretch, self._which = stretch, which
 
     def __len__(self):
         """Number of steps whose ends are in the stretch."""
@@ -72,12 +66,12 @@ class StretchStates(Stretch):
 
     def __getattr__(self, name):
         """An array over the ends. a and lam are computed state by state if the driver did not compute them."""
-        s, at = self._stretch, self._which
+        stretch, at = self._stretch, self._which
         if name not in ("t", "q", "v", "a", "lam"):
             raise AttributeError(name)
-        if name in ("a", "lam") and s.motion is not None:
+        if name in ("a", "lam") and stretch.motion is not None:
             return np.array([getattr(state, name) for state in self])
-        return getattr(s.record, name)[at.start : at.stop : at.step]
+        return getattr(stretch.record, name)[at.start : at.stop : at.step]
 
     @property
     def spent(self):
@@ -91,8 +85,10 @@ class StretchStates(Stretch):
 
     def state(self, k):
         """The State number k, counted from 0."""
-        states, k = self._stretch.states, self._which[k]
-        return states.get(k) or states.setdefault(k, StepState(self._stretch, k))  # each holds the stretch, which so must not hold it
+        states, number = self._stretch.states, self._which[k]
+        return states.get(number) or states.setdefault(
+            number, StepState(self._stretch, number)
+        )  # each holds the stretch, which so must not hold it
 
     def part(self, first, end, every=1):
         """The ends from number `first` to before `end`, or each `every`-th of them."""
@@ -108,14 +104,14 @@ class StretchStates(Stretch):
 
 
 class StepState(State):
-    """The State at the end of step k. Its memory and polynomial are assembled on first use."""
+    """The State at the end of a step of a stretch. Its memory and polynomial are assembled on first use."""
 
-    def __init__(self, s, k):
-        """Take t, q and v, and a and lam if the driver computed them, from the record of the stretch s."""
-        r = s.record
-        vars(self).update(t=float(r.t[k]), q=r.q[k], v=r.v[k], _stretch=s, _k=k)
-        if s.motion is None:
-            vars(self).update(a=r.a[k], lam=r.lam[k])
+    def __init__(self, stretch, number):
+        """Take t, q and v, and a and lam if the driver computed them, of a step from the record of the StretchData."""
+        record = stretch.record
+        vars(self).update(t=float(record.t[number]), q=record.q[number], v=record.v[number], _stretch=stretch, _number=number)
+        if stretch.motion is None:
+            vars(self).update(a=record.a[number], lam=record.lam[number])
 
     @cached_property
     def _motion(self):
@@ -124,7 +120,7 @@ class StepState(State):
         try:
             return consistent_acceleration(model, at(self.t), self.q, self.v)
         except (InputError, np.linalg.LinAlgError):  # constraints that have become dependent, where the run is about to end
-            return self._stretch.record.stages_a[self._k, -1], self._stretch.record.stages_lam[self._k, -1]
+            return self._stretch.record.stages_a[self._number, -1], self._stretch.record.stages_lam[self._number, -1]
 
     @cached_property
     def a(self):
@@ -138,16 +134,22 @@ class StepState(State):
 
     @cached_property
     def memory(self):
-        """The memory from which a run continues."""
-        s, k = self._stretch, self._k
-        r, marks, slots = s.record, s.record.marks[k], s.record.slots[k]
+        """The memory from which a run continues, with that of the stretch.
+
+        stages_e, stages_v (s, n), stages_lam (s, m) and a_end (n,): the step's polynomial. miss_e, miss_lam, mu (TERMS, s, .) and misses: the
+        prediction errors and their weights. step: h, s. error: local error over the allowed one. newton (2,): contraction, age. factored
+        (slots, 2 + 3 n + m): h, t, q, v, a, lam of each factor, the one used last at the end. prices (slots, 3): h, EXTRA, LEAST.
+        """
+        stretch, number, record = self._stretch, self._number, self._stretch.record
+        marks, slots = record.marks[number], record.slots[number]
         order = [slot for slot in np.argsort(slots[USED], kind="stable") if slots[H, slot]]
-        factor_states = {slot: s.factor_states[slot] for slot in order} | {int(row[1]): row[2:] for row in r.made if row[0] <= k}
+        factor_states = {slot: stretch.factor_states[slot] for slot in order}
+        factor_states |= {int(row[1]): row[2:] for row in record.made if row[0] <= number}
         memory = {
-            "stages_e": r.e[k],
-            "stages_v": r.dv[k],
-            "a_end": r.stages_a[k, -1],
-            "stages_lam": r.stages_lam[k],
+            "stages_e": record.e[number],
+            "stages_v": record.dv[number],
+            "a_end": record.stages_a[number, -1],
+            "stages_lam": record.stages_lam[number],
             "misses": marks[MISSES:],
             "step": float(marks[LAST]),
             "error": float(marks[ERROR]),
@@ -155,27 +157,26 @@ class StepState(State):
             "factored": np.array([np.concatenate([[slots[H, slot]], factor_states[slot]]) for slot in order]),
             "prices": slots[[H, EXTRA, LEAST]][:, order].T.copy(),
         }
-        for name, before in s.misses_before.items():
-            steps = getattr(r, name)[k::-1]
+        for name, before in stretch.misses_before.items():
+            steps = getattr(record, name)[number::-1]
             memory[name] = np.concatenate([steps, before])[: len(before)]
-        if s.by_increments:
-            memory |= {"phi": r.phi_start[k, 0], "rate": r.phi_start[k, 1]}
-        return memory | s.memory | s.position_memory(k, r.level[k])
+        if stretch.by_increments:
+            memory |= {"phi": record.phi_start[number, 0], "rate": record.phi_start[number, 1]}
+        return memory | stretch.memory | stretch.position_memory(number, record.level[number])
 
     @cached_property
     def within(self):
         """The collocation polynomial of the step."""
-        s, k = self._stretch, self._k
-        r = s.record
-        t, q, v = (float(r.t[k - 1]), r.q[k - 1], r.v[k - 1]) if k else s.begin
-        return Collocation(t, float(r.marks[k, LAST]), q, v, s.c, (r.e[k], r.dv[k], r.stages_a[k], r.stages_lam[k]))
-
-    def computed(self):
-        """The States, which keep their accelerations and forces."""
-        return list(self)
+        stretch, number, record = self._stretch, self._number, self._stretch.record
+        if number:
+            t, q, v = float(record.t[number - 1]), record.q[number - 1], record.v[number - 1]
+        else:  # the first step begins at the start of the stretch
+            t, q, v = stretch.begin
+        stages = record.e[number], record.dv[number], record.stages_a[number], record.stages_lam[number]
+        return Collocation(t, float(record.marks[number, LAST]), q, v, stretch.c, stages)
 
     def finite(self):
-        """True: the driver has checked q and v."""
+        """True: the driver has checked q and v, and the check of State would compute lam."""
         return True
 
     def __reduce__(self):

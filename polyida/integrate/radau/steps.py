@@ -38,12 +38,17 @@ def new_control(t, level=0.0):
 class Steps:
     """The method on one model. `begin` starts from a state; `step`, `take_fixed` and `take_adaptive` continue.
 
-    sizes: the model's (length, speed) for tolerances; run: [begin, end] of the run, stored in the memory of states.
+    sizes: the model's (length, speed, time, lengths) for tolerances; run: [begin, end] of the run, stored in the memory of states. limits: set by
+    the caller for each piece. state and factor_states change with each call of the compiled loop.
     """
 
     def __init__(self, settings, model, counts, sizes, run=None):
         """Make the arrays and the table of a model."""
-        self.settings, self.model, self.counts, self.sizes, self.run = settings, model, counts, sizes, run
+        self.settings = settings
+        self.model = model
+        self.counts = counts
+        self.sizes = sizes
+        self.run = run
         self.tableau = radau(settings.stages)
         self.limits = -np.inf, np.inf  # bounds of the model's times, beside kinks
         rows_vary = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
@@ -55,7 +60,7 @@ class Steps:
         self.slots = loop.FactorSlots(np.zeros((5, loop.SLOTS)), np.zeros((loop.SLOTS, 1 + 3 * model.n + model.m)))
         self.state = None  # the State that `memory` holds, None while it may hold another
         self.factor_states = None  # copy of slots.states that the States of a stretch share; None if it must be copied again
-        self.done = np.zeros(loop.COUNTS, np.int64)
+        self.done = np.zeros(loop.COUNTS, np.int64)  # work of the last call of the loop: residuals, ...
         tableau = step_arrays.compiled_tableau(self.tableau)
         self.arrays = step_arrays.Arrays(tableau, self.memory, self.trial, self.scratch, self.slots, self.done)
         most = CHUNK // (8 * max(1, (4 * settings.stages + 5) * model.n))
@@ -136,8 +141,7 @@ class Steps:
         while grid.done < grid.count:
             ends = grid.times(grid.done, min(grid.done + self.longest, grid.count))[1:]
             control = loop.Control(False, grid.h, grid.h, np.inf, np.inf, np.inf, new_control(state.t))
-            grid_memory = lambda taken, k, level, grid=grid: {"radau_grid": grid.after(grid.done + taken + k + 1)}  # noqa: E731
-            for states in self._stretches(state, control, ends, grid_memory):
+            for states in self._stretches(state, control, ends, _memory_of_grid(grid)):
                 self.counts.steps += len(states)
                 yield states
                 state = states.last
@@ -155,23 +159,24 @@ class Steps:
                 state = states.last
 
     def _stretches(self, state, control, ends, position_memory=lambda taken, k, level: {}):
-        """Yield one stretch, or several between which factors are made. Raises StepFailure."""
-        model, table, method, memory = self.model, self.table, self.method(), self.memory
+        """Yield one stretch, or several between which factors are made. Raises StepFailure.
+
+        self.state is the last State while the caller has the stretch; the counts are set when the caller asks for the next one. ends: times of
+        the ends of fixed steps, empty for adaptive ones. position_memory: function (steps taken before a stretch, number in it, level) -> memory.
+        """
+        table, method = self.table, self.method()
         self.start_from(state)
-        count, taken, fresh = len(ends) or self.longest, 0, False  # steps to take, steps taken, True if the factor is made for the next one
+        count = len(ends) or self.longest  # steps to take
+        taken = 0  # steps taken
+        fresh = False  # True if the factor is made for the next step
         first = table.begin(self, state, control, ends)
         while True:
-            log = loop.record(count, self.settings.stages, model.n, model.m, self.tied)
-            self.done[:], begin = 0, (state.t, state.q, state.v)
-            self.factor_states = self.slots.states.copy() if self.factor_states is None else self.factor_states
-            misses = {name: getattr(memory, name).copy() for name in ("miss_e", "miss_lam", "mu")}
-            control.now[loop.REMAINING] = control.most_steps - self.counts.steps - self.counts.rejected
-            if not control.adaptive:
-                log.t[:] = ends[taken:]
-            place = table.functions, table.workspace, first
-            with table.timed():
-                accepted, ended = loop.take_steps(*place, method, self.arrays, control, fresh, log)
-            self.state, before = None, replace(self.counts)
+            log = self._empty_record(count, control, ends[taken:])
+            begin = state.t, state.q, state.v
+            misses = {name: getattr(self.memory, name).copy() for name in ("miss_e", "miss_lam", "mu")}
+            accepted, ended = self._one_call(first, method, control, fresh, log)
+            self.state = None
+            before = replace(self.counts)
             if accepted:
                 states = StretchStates(self._data(log, begin, misses, before, partial(position_memory, taken)), range(accepted))
                 self.state = state = states.last
@@ -180,18 +185,38 @@ class Steps:
             self.state = self.state or state
             if self.done[step_arrays.FACTORS]:
                 self.factor_states = None
-            taken, count = taken + accepted, count - accepted
+            taken += accepted
+            count -= accepted
             first += accepted * (self.settings.stages + 1) * table.prepared
             table.raise_error()
-            if ended in (loop.MAKE, loop.RESTORE):
-                fresh = ended == loop.MAKE
-                self.make(control, fresh)
-            elif ended == loop.PAUSE:
-                fresh = False
-            elif ended != DONE:
-                raise self._failure(ended, control)
-            elif not count or control.adaptive:
+            if ended == DONE and (not count or control.adaptive):
                 return
+            if ended != DONE:
+                fresh = self._prepare_next(ended, control)
+
+    def _empty_record(self, count, control, ends):
+        """The Record that the next call fills, for `count` steps, and a copy of the states of the factors; ends: times of fixed steps."""
+        log = loop.record(count, self.settings.stages, self.model.n, self.model.m, self.tied)
+        if self.factor_states is None:
+            self.factor_states = self.slots.states.copy()
+        if not control.adaptive:
+            log.t[:] = ends
+        return log
+
+    def _one_call(self, first, method, control, fresh, log):
+        """(steps accepted, how it ended) of one call of the compiled loop, from the instant `first`, which fills the record `log`."""
+        self.done[:] = 0
+        control.now[loop.REMAINING] = control.most_steps - self.counts.steps - self.counts.rejected
+        with self.table.timed():
+            return loop.take_steps(self.table.functions, self.table.workspace, first, method, self.arrays, control, fresh, log)
+
+    def _prepare_next(self, ended, control):
+        """Make the factors that a call asked for when it ended. Returns True if they are new ones for the next step. Raises StepFailure."""
+        if ended in (loop.MAKE, loop.RESTORE):
+            self.make(control, ended == loop.MAKE)
+        elif ended != loop.PAUSE:
+            raise self._failure(ended, control)
+        return ended == loop.MAKE
 
     def _data(self, log, begin, misses, before, position_memory):
         """The StretchData of a stretch; before: the counts at its start."""
@@ -249,6 +274,16 @@ class Steps:
                 "contraction": float(self.scratch.progress[step_arrays.SPEED]),
             }
         return StepFailure(*self.table.end_reason(ended, self, control), t, **seen)
+
+
+def _memory_of_grid(grid):
+    """The function (steps taken, number k in the stretch, level) -> memory of the fixed steps of a grid, as of `_stretches`."""
+
+    def grid_memory(taken, k, level):
+        """{"radau_grid": what is left of the grid behind step k}."""
+        return {"radau_grid": grid.after(grid.done + taken + k + 1)}
+
+    return grid_memory
 
 
 def _table(settings, model, tableau, tied):
