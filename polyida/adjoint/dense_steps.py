@@ -1,6 +1,8 @@
 """The adjoint of a step of a small model with dense matrices, in compiled code: one factor of the whole system of all stages.
 
-The system is that of exact_steps.py. Its unknowns are w of all stages, then mu*, then kappa if the steps have mu.
+The system is that of exact_steps.py. Its unknowns are w of all stages (s n), then mu* (s m), then kappa (s m) if the steps have mu; its rows are
+the equations of w, then B_i w_i, then B_i D^-1 v*_i. In: the states of the stages and right sides of a step (adjoint/tables.py). Out: w, the
+multipliers and the products of the step.
 """
 
 from contextlib import contextmanager
@@ -27,32 +29,34 @@ class DenseAdjointWork(NamedTuple):
     model: small.Dense
     t: np.ndarray  # (count, s) states of the stages
     q: np.ndarray  # (count, s, n)
-    v: np.ndarray
-    a: np.ndarray
+    v: np.ndarray  # (count, s, n)
+    a: np.ndarray  # (count, s, n)
     lam: np.ndarray  # (count, s, m)
     mu: np.ndarray  # (count, s, m), or (count, s, 0) if the steps have none
-    to_v: np.ndarray  # (s, s)
-    to_a: np.ndarray
+    to_v: np.ndarray  # (s, s) of exact_steps.py, for steps of h
+    to_a: np.ndarray  # (s, s)
     lift: np.ndarray  # (n,) diagonal of D^-1
-    K: np.ndarray  # (s, n, n) matrices of the stages: dr/dq
-    C: np.ndarray  # dr/dv
-    M: np.ndarray
-    T: np.ndarray  # (B^T mu)_q D^-1
+    K: np.ndarray  # (s, n, n) dr/dq of the stages
+    C: np.ndarray  # (s, n, n) dr/dv
+    M: np.ndarray  # (s, n, n) dr/da
+    T: np.ndarray  # (s, n, n) (B^T mu)_q D^-1
     B: np.ndarray  # (s, m, n) phi_q
-    G: np.ndarray  # B D^-1
-    H: np.ndarray  # d(B v + phi_t)/dq
+    G: np.ndarray  # (s, m, n) B D^-1
+    H: np.ndarray  # (s, m, n) d(B v + phi_t)/dq
     rates: np.ndarray  # (n, n) derivative of v* of a stage in w of a stage
     columns: int  # number of right-hand sides
     matrix: np.ndarray  # (N, N) the system of a step
-    pivots: np.ndarray
+    pivots: np.ndarray  # (N,) rows that were exchanged
     x: np.ndarray  # (N,) a solution
     solved: np.ndarray  # (1,) number of solutions
 
 
 @entry
 def solve(work, step, right, below, b_v, fields, multipliers, out):
-    """The entry ADJOINT: fill w = fields, multipliers and out of a step for all columns; b_v: the adjoint of v at its end. Returns a
-    status.
+    """The entry ADJOINT: fill w, the multipliers and the products of a step for all columns. Returns a status.
+
+    Addresses of right, fields = w (s, columns, n), below (s, columns, m), b_v (columns, n), the adjoint of v at the end of the step,
+    multipliers (1 or 2, s, columns, m) and out (3, s, columns, n).
     """
     (s, m, n), kinds, columns = work.B.shape, 1 + (work.mu.shape[2] > 0), work.columns
     for i in range(s):
@@ -121,7 +125,11 @@ def differentiate_rows(work, model, mu, rate_q, reaction_q):
 
 @part
 def assemble(work, size, unit):
-    """Fill the matrix of a step, columns of w in units of 1/size, of kappa in `unit`."""
+    """Fill the matrix of a step, columns of w in units of 1/size, of kappa in `unit`.
+
+    The rows of the equations of w are not scaled, those of B w are multiplied by size, those of B D^-1 v* by 1/unit: then all blocks have
+    entries of similar size.
+    """
     A, (stages, m, n) = work.matrix, work.B.shape
     clear(A)
     for i in range(stages):
@@ -135,16 +143,31 @@ def assemble(work, size, unit):
         for e in range(m):
             for p in range(n):
                 A[i * n + p, lam + e] = A[lam + e, i * n + p] = work.B[i, e, p]
+    of_rows, of_rates = stages * n, stages * (n + m)  # where the second and the third block begin
     for k in range(A.shape[0]):
-        row = 1.0 if k < stages * n else size if k < stages * (n + m) else 1.0 / unit
+        row = value_of_block(k, of_rows, of_rates, 1.0, size, 1.0 / unit)
         for o in range(A.shape[0]):
-            A[k, o] *= row * (1.0 / size if o < stages * n else 1.0 if o < stages * (n + m) else unit)
+            A[k, o] *= row * value_of_block(o, of_rows, of_rates, 1.0 / size, 1.0, unit)
+
+
+@part
+def value_of_block(number, second_block, third_block, first, second, third):
+    """The one of three values that belongs to the block of a row or column with this number."""
+    if number < second_block:
+        return first
+    if number < third_block:
+        return second
+    return third
 
 
 @part
 def add_rates(work, stage, other):
-    """Add what w_j and kappa_j of the `other` stage give by v* in the equations of a stage, `T_i v*_i`, in its rows `B_i D^-1 v*_i`, and by
-    kappa_j itself.
+    """Add the terms of v* of a stage that come from w_j and kappa_j of the stage j = `other`, and those of kappa_j itself, to the matrix.
+
+        v*_i = (C_i^T if i = j) w_j + to_v_ij M_j^T w_j + (B_i^T if i = j) kappa_j
+
+    stands as T_i v*_i in the equations of w_i, and as B_i D^-1 v*_i in the rows of the third block. kappa_j stands in the equations of w_i
+    with to_v_ij B_j^T, and with H_i^T if i = j.
     """
     A, (stages, m, n), rates = work.matrix, work.B.shape, work.rates
     rows, columns = stages * (n + m) + stage * m, stages * (n + m) + other * m

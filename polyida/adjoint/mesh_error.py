@@ -28,6 +28,10 @@ from polyida.mesh import topology
 from polyida.objective.peak_stress import add_cell_energies
 
 OWN = 3.0  # weight of the cell itself in a fit; its neighbours have 1
+CORNERS, POINTS, FIRST_CORNER, FIRST_GRADIENT, FIRST_WEIGHT = range(5)  # columns of Cells.layout, a row for each block of LANES cells
+STRAIN, STRAIN_RATE, VIRTUAL = range(3)  # the fields E, E + viscosity E' and D
+VALUE, BY_X, BY_Y = range(3)  # terms of a linear fit
+FIELDS, TERMS, COMPONENTS = 3, 3, 3  # numbers of fields, of terms of a fit, and of components (xx, xy, yy) of a field
 
 
 @traced(3)
@@ -74,21 +78,28 @@ def add_work(total, weight, x, y, lam_bar, two_mu):
 
 
 class Fits(NamedTuple):
-    """The cells with three points and the linear fits to their neighbours.
+    """The cells with three points for each triangle, the linear fits to their neighbours, and scratch for the fields of a frame."""
 
-    cells, lane_cells: of the ReferenceOperator; places (points, 2, LANES): of its points from the cells' centroids; near (cells + 1,):
-    first of the neighbours of a cell and of their shares (., 3) in its fit. fields (points, 3, 3, LANES): E, E + viscosity E' and D of a
-    frame; means (cells, 3, 3): of these.
-    """
+    cells: Cells  # of the ReferenceOperator with three points
+    lane_cells: np.ndarray  # (blocks LANES,) number of the cell in each lane
+    places: np.ndarray  # (points, 2, LANES) of its points from the cells' centroids, m
+    near: np.ndarray  # (cells + 1,) the first of the neighbours of a cell, itself included
+    neighbours: np.ndarray  # (near[-1],) numbers of cells
+    shares: np.ndarray  # (near[-1], TERMS) share of the mean of a neighbour in the terms of the cell's fit
+    fields: np.ndarray  # (points, FIELDS, COMPONENTS, LANES) of a frame
+    means: np.ndarray  # (cells, FIELDS, COMPONENTS) of the fields
 
-    cells: Cells
-    lane_cells: np.ndarray
-    places: np.ndarray
-    near: np.ndarray
-    neighbours: np.ndarray
-    shares: np.ndarray
-    fields: np.ndarray
-    means: np.ndarray
+
+@fast
+def field_at(point, field):
+    """Position of a field at a point in the flat Fits.fields."""
+    return (FIELDS * point + field) * COMPONENTS * LANES
+
+
+@fast
+def fit_at(field, term, component):
+    """Position of a component of a term of the fit to a field, in the flat fit (FIELDS, TERMS, COMPONENTS, LANES)."""
+    return ((field * TERMS + term) * COMPONENTS + component) * LANES
 
 
 @entry
@@ -103,57 +114,75 @@ def cell_errors(fits, material, displacements, velocities, multipliers, factor, 
 
 @fast
 def evaluate_fields(fits, material, displacements, velocities, multipliers):
-    """Fill fits.fields with E, E + viscosity E' and D at the points, and fits.means with their means over the cells."""
-    cells, lane_cells, fields, third, at = fits.cells, fits.lane_cells, fits.fields, 3 * LANES, 0
-    differences, sums = _workspace(cells.layout, 6, 0), np.empty(9 * LANES)
+    """Fill fits.fields with E, E + viscosity E' and D at the points, and fits.means with their means over the cells.
+
+    displacements, velocities, multipliers w (nodes, 2). A mean is `sum weight field / sum weight` over the points of a cell.
+    """
+    cells, lane_cells, fields = fits.cells, fits.lane_cells, fits.fields
+    differences, sums = _workspace(cells.layout, 6, 0), np.empty(FIELDS * COMPONENTS * LANES)
+    point = 0
     for b in range(cells.layout.shape[0]):
-        m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
-        size, total = 2 * m * LANES, spread(0.0)
+        count, first = cells.layout[b, CORNERS] - 1, cells.layout[b, FIRST_CORNER]  # corners but the last, to which differences are taken
+        size, total = 2 * count * LANES, spread(0.0)
         of_w, of_v = differences[size:], differences[2 * size :]
-        _differences(displacements, cells.corners, first, 0, m, differences)
-        _differences(multipliers, cells.corners, first, 0, m, of_w)
+        _differences(displacements, cells.corners, first, 0, count, differences)
+        _differences(multipliers, cells.corners, first, 0, count, of_w)
         if material.viscosity != 0.0:
-            _differences(velocities, cells.corners, first, 0, m, of_v)
+            _differences(velocities, cells.corners, first, 0, count, of_v)
         sums[:] = 0.0
-        for p in range(cells.layout[b, 1]):
-            g, weight = cells.layout[b, 3] + p * size, load(cells.weights, cells.layout[b, 4] + p * LANES)
-            h, d = _gradient(cells.gradients, g, differences, m), _gradient(cells.gradients, g, of_w, m)
-            e, slope = elastic_strain(h), turned(h, d)
-            moving = rate_strain(h, _gradient(cells.gradients, g, of_v, m), material.viscosity) if material.viscosity != 0.0 else e
-            store(fields, 3 * at * third, e)
-            store(fields, (3 * at + 1) * third, moving)
-            store(fields, (3 * at + 2) * third, slope)
-            store(sums, 0, add_weighted(load3(sums, 0), weight, e))
-            store(sums, third, add_weighted(load3(sums, third), weight, moving))
-            store(sums, 2 * third, add_weighted(load3(sums, 2 * third), weight, slope))
+        for p in range(cells.layout[b, POINTS]):
+            at = cells.layout[b, FIRST_GRADIENT] + p * size
+            weight = load(cells.weights, cells.layout[b, FIRST_WEIGHT] + p * LANES)
+            h, d = _gradient(cells.gradients, at, differences, count), _gradient(cells.gradients, at, of_w, count)
+            e, virtual = elastic_strain(h), turned(h, d)
+            rate = rate_strain(h, _gradient(cells.gradients, at, of_v, count), material.viscosity) if material.viscosity != 0.0 else e
+            store(fields, field_at(point, STRAIN), e)
+            store(fields, field_at(point, STRAIN_RATE), rate)
+            store(fields, field_at(point, VIRTUAL), virtual)
+            store(sums, field_at(0, STRAIN), add_weighted(load3(sums, field_at(0, STRAIN)), weight, e))
+            store(sums, field_at(0, STRAIN_RATE), add_weighted(load3(sums, field_at(0, STRAIN_RATE)), weight, rate))
+            store(sums, field_at(0, VIRTUAL), add_weighted(load3(sums, field_at(0, VIRTUAL)), weight, virtual))
             total = sum_of(total, weight)
-            at += 1
+            point += 1
         for k in range(LANES):
             if lane(total, k) > 0.0:
-                for i in range(9):
-                    fits.means[lane_cells[b * LANES + k], i // 3, i % 3] = sums[i * LANES + k] / lane(total, k)
+                for i in range(FIELDS * COMPONENTS):
+                    fits.means[lane_cells[b * LANES + k], i // COMPONENTS, i % COMPONENTS] = sums[i * LANES + k] / lane(total, k)
+
+
+@fast
+def fit_gap(fit, field, place, x):
+    """How far the fit to a field is above the field's value x at a place, (xx, xy, yy)."""
+    value, by_x, by_y = load3(fit, fit_at(field, VALUE, 0)), load3(fit, fit_at(field, BY_X, 0)), load3(fit, fit_at(field, BY_Y, 0))
+    return gap(value, by_x, by_y, place, x)
 
 
 @fast
 def add_errors(fits, material, factor, out):
-    """Add the works of the fields and of their gaps to the fits to out (2, cells). factor: dJ/dW."""
-    cells, lane_cells, fields, third, at = fits.cells, fits.lane_cells, fits.fields, 3 * LANES, 0
-    (lam_bar, two_mu), fit = lame(material), np.empty(27 * LANES)
+    """Add the works of the fields and of their gaps to the fits to out (2, cells). factor: dJ/dW.
+
+    out[0] += [S : D]_3 + dJ/dW 1/2 [E : C : E]_3
+    out[1] -= [(S* - S) : (D* - D)]_3 + dJ/dW 1/2 [(E* - E) : C : (E* - E)]_3
+    """
+    cells, lane_cells, fields = fits.cells, fits.lane_cells, fits.fields
+    (lam_bar, two_mu), fit = lame(material), np.empty(FIELDS * TERMS * COMPONENTS * LANES)
+    point = 0
     for b in range(cells.layout.shape[0]):
         total, gaps = spread(0.0), spread(0.0)
         fill_fit(fits, b, fit)
-        for p in range(cells.layout[b, 1]):
-            weight, place = load(cells.weights, cells.layout[b, 4] + p * LANES), load2(fits.places, 2 * at * LANES)
-            e, x, y = load3(fields, 3 * at * third), load3(fields, (3 * at + 1) * third), load3(fields, (3 * at + 2) * third)
-            over_x = gap(load3(fit, 3 * third), load3(fit, 4 * third), load3(fit, 5 * third), place, x)
-            over_y = gap(load3(fit, 6 * third), load3(fit, 7 * third), load3(fit, 8 * third), place, y)
-            total = add_work(total, weight, x, y, lam_bar, two_mu)
-            gaps = add_work(gaps, weight, over_x, over_y, -lam_bar, -two_mu)
+        for p in range(cells.layout[b, POINTS]):
+            weight = load(cells.weights, cells.layout[b, FIRST_WEIGHT] + p * LANES)
+            place = load2(fits.places, 2 * point * LANES)
+            rate, virtual = load3(fields, field_at(point, STRAIN_RATE)), load3(fields, field_at(point, VIRTUAL))
+            rate_gap, virtual_gap = fit_gap(fit, STRAIN_RATE, place, rate), fit_gap(fit, VIRTUAL, place, virtual)
+            total = add_work(total, weight, rate, virtual, lam_bar, two_mu)
+            gaps = add_work(gaps, weight, rate_gap, virtual_gap, -lam_bar, -two_mu)
             if factor != 0.0:
-                half, over_e = 0.5 * factor, gap(load3(fit, 0), load3(fit, third), load3(fit, 2 * third), place, e)
+                half, e = 0.5 * factor, load3(fields, field_at(point, STRAIN))
+                strain_gap = fit_gap(fit, STRAIN, place, e)
                 total = add_work(total, weight, e, e, half * lam_bar, half * two_mu)
-                gaps = add_work(gaps, weight, over_e, over_e, -half * lam_bar, -half * two_mu)
-            at += 1
+                gaps = add_work(gaps, weight, strain_gap, strain_gap, -half * lam_bar, -half * two_mu)
+            point += 1
         for k in range(LANES):
             out[0, lane_cells[b * LANES + k]] += lane(total, k)
             out[1, lane_cells[b * LANES + k]] += lane(gaps, k)
@@ -161,15 +190,16 @@ def add_errors(fits, material, factor, out):
 
 @fast
 def fill_fit(fits, block, fit):
-    """Fill fit, (3 fields, value and two slopes, 3 components, LANES), with the linear fits of the cells of a block."""
+    """Fill fit (FIELDS, TERMS, COMPONENTS, LANES), flat, with the linear fits of the cells of a block: `sum over neighbours share mean`."""
     fit[:] = 0.0
     for k in range(LANES):
         cell = fits.lane_cells[block * LANES + k]
         for n in range(fits.near[cell], fits.near[cell + 1]):
-            for i in range(9):
-                x = fits.means[fits.neighbours[n], i // 3, i % 3]
-                for j in range(3):
-                    fit[((i // 3 * 3 + j) * 3 + i % 3) * LANES + k] += fits.shares[n, j] * x
+            for field in range(FIELDS):
+                for component in range(COMPONENTS):
+                    mean = fits.means[fits.neighbours[n], field, component]
+                    for term in range(TERMS):
+                        fit[fit_at(field, term, component) + k] += fits.shares[n, term] * mean
 
 
 class MeshError:
@@ -177,31 +207,35 @@ class MeshError:
 
     def __init__(self, body):
         """Build the cells with three points and the fits to their neighbours."""
-        mesh, self.body = body.mesh, body
+        self.body = body
+        mesh = body.mesh
         modulus, nu = body.plate.material.in_plane
-        self.moduli = body.plate.thickness * modulus / (1 - nu**2), nu
+        self.stiffness = body.plate.thickness * modulus / (1 - nu**2)  # N/m, at factor 1
+        self.nu = nu
         three = build(mesh, wachspress_of_three)
         places, numbers = [], three.lane_cells.reshape(-1, LANES)
-        for cells, n in zip(numbers, three.layout[:, 0].tolist()):
+        for cells, n in zip(numbers, three.layout[:, CORNERS].tolist()):
             corners = mesh.points[mesh.nodes[mesh.offsets[cells] + np.arange(n)[:, None]]].transpose(0, 2, 1)
             near, _, centroid = fan_points(corners)
             places.append(near - centroid)
         places = np.ascontiguousarray(np.concatenate(places))
         scratch = np.empty((len(places), 3, 3, LANES)), np.empty((mesh.n_cells, 3, 3))
         self.fits = Fits(three.cells(), three.lane_cells, places, *_fits(mesh), *scratch)
-        self.three = np.zeros((2, mesh.n_cells))
-        self.of_energy = np.zeros(mesh.n_cells)
-        self.of_element = np.zeros(len(body.operator.lane_cells))
+        self.three = np.zeros((2, mesh.n_cells))  # out of `cell_errors`
+        self.of_energy = np.zeros(mesh.n_cells)  # 1/2 dJ/dW [E : C : E]_element
+        self.of_element = np.zeros(len(body.operator.lane_cells))  # [S : D]_element of the cell in each lane
 
     def add(self, q, v, w, factor):
         """Add states q, v and multipliers w of the model, (count, pairs, 2), with dJ/dW (count,)."""
-        body, o, (c, nu), viscosity = self.body, self.body.operator, self.moduli, self.body.plate.material.viscosity
-        cells, material, whole = o.cells(), Material(c, nu, viscosity), Material(c * float(body.factors[0][0]), nu, viscosity)
-        for u, speed, now, f in zip(*(np.ascontiguousarray(x[:, body.nodes]) for x in (q, v, w)), factor.tolist()):
-            cell_errors(self.fits, whole, u, speed, now, f, self.three)
-            cell_products.force_work(cells, material, u, speed, now[None], self.of_element[None])
+        body, operator, viscosity = self.body, self.body.operator, self.body.plate.material.viscosity
+        cells = operator.cells()
+        of_operator = Material(self.stiffness, self.nu, viscosity)  # the operator's weights hold the factors of the cells
+        with_factor = Material(self.stiffness * float(body.factors[0][0]), self.nu, viscosity)
+        for u, speeds, multipliers, f in zip(*(np.ascontiguousarray(x[:, body.nodes]) for x in (q, v, w)), factor.tolist()):
+            cell_errors(self.fits, with_factor, u, speeds, multipliers, f, self.three)
+            cell_products.force_work(cells, of_operator, u, speeds, multipliers[None], self.of_element[None])
             if f:
-                add_cell_energies(cells, o.lane_cells, material, u, f, self.of_energy)
+                add_cell_energies(cells, operator.lane_cells, of_operator, u, f, self.of_energy)
 
     @property
     def parts(self):
@@ -212,6 +246,7 @@ class MeshError:
 
 def _fits(mesh):
     """(first neighbour of each cell (cells + 1,), neighbours, their shares (., 3) in value and slopes of the linear fit of a cell)."""
+    # neighbours of a cell: the cells with a common edge, and itself
     cell = topology.corner_cells(mesh.offsets)
     ends = np.sort(topology.directed_edges(mesh.nodes, mesh.offsets), axis=1).astype(np.int64)
     _, edge = np.unique(ends[:, 0] * mesh.n_nodes + ends[:, 1], return_inverse=True)
@@ -219,6 +254,7 @@ def _fits(mesh):
     pattern = csr_array(incidence @ incidence.T)
     pattern.sort_indices()
     counts, shares = np.diff(pattern.indptr), np.empty((len(pattern.indices), 3))
+    # for all cells with n neighbours: the pseudo-inverse of the rows `weight^(1/2) (1, x, y)` of the neighbours' centroids
     for n in np.unique(counts):
         own = np.flatnonzero(counts == n)
         at = pattern.indptr[own][:, None] + np.arange(n)

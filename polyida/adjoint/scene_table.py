@@ -1,5 +1,7 @@
 """The adjoint of a step of a scene with s stages: refinement with a stale co-rotated factor and the exact products (products.py).
 
+In: the states of the stages, and right sides of a step (adjoint/tables.py). Out: w, the multipliers and the products of the step.
+
 The step's system is, with B, C, H, K and M of each stage (exact_steps.py, radau_sweep.py; generalized-alpha has one stage),
 
     K_i^T w_i + B_i^T mu_i + sum_j to_v_ij (C_j^T w_j + B_j^T kappa_j) + to_a_ij M w_j + H_i^T kappa_i + (B_i^T mu_i)_q^T v*_i = right_i
@@ -21,6 +23,7 @@ from numba import carray, typeof
 
 from polyida.adjoint import products
 from polyida.adjoint.products import DZ, VZ, Scratch, arrays_of, scratch, viscosity_of
+from polyida.adjoint.refinement import FRESH, OLD, FactorRecord, convergence, count_work, new_record, too_old
 from polyida.adjoint.scene_modes import KAPPA, MU, Mode, MuTerms, add_change, correct, prepare_mode
 from polyida.adjoint.tables import AdjointTable, by_stages
 from polyida.assembly import joints
@@ -37,52 +40,34 @@ from polyida.linear.team import Helpers
 from polyida.system import ADJOINT, ENTRIES, scene_functions
 from polyida.system import scene as forward
 
-# constants of compiled code
-FRESHEN = 30  # steps after which the contraction is measured again
-RENEWAL = 36.0  # solves, with their products, that a new factor must save: it takes the time of 12 at 1e3 coordinates, of 19 at 1e4
-SMOOTHING = 0.125  # weight of the last step in FactorRecord.lately
-ROUND_OFF = 1e-9  # of |w|: below it a correction need not fall any more
-NEGLIGIBLE = 1e-14  # of what w would be without constraints: below it corrections of a w that these hold to zero are nothing
 EXACT = 1e-11  # of |w|: refinement leaves no less
-OF_MU = 100.0  # accepted relative error of mu over that of w: mu has the error of w times M / h^2
 MAX_CORRECTIONS = 60  # corrections of a step with one factor
-OLD, FRESH = 0.5, 0.8  # contraction above which a factor is made anew, and above which one that was made for the step does not serve
-
-
-@pack
-class FactorRecord(NamedTuple):
-    """What a table has measured of a factor, arrays (1,) but for (columns,) ones."""
-
-    solves: np.ndarray  # number since `at_work`
-    slowest: np.ndarray  # the largest accepted contraction
-    steps: np.ndarray  # number of steps with the factor
-    work: np.ndarray  # number of solves in them; one of a further column counts half
-    lately: np.ndarray  # mean number of solves in the last steps
-    contraction: np.ndarray  # (columns,) of a correction
-    measured: np.ndarray  # (columns,) number of steps at which that was measured, or 0
-    moved: np.ndarray  # (columns,) |dw| of the last correction
 
 
 @pack
 class SceneAdjointWork(NamedTuple):
-    """The workspace of a scene. A field that is None is a part that the step does not have; the code for it is then not compiled."""
+    """The workspace of a scene. A field that is None is a part that the step does not have; the code for it is then not compiled.
 
-    scene: tuple
+    first, second, third: the Scratch of each stage. They are three fields, not a tuple, because compiled code cannot index a tuple of packs by
+    a variable (see `stage`); with fewer stages the last one is repeated.
+    """
+
+    scene: tuple  # of `arrays_of`
     viscosity: np.ndarray  # of `viscosity_of`
     laws: Laws
-    real: Mode | None
-    pair: Mode | None
-    tied: MuTerms | None
-    drives: np.ndarray  # (count, s, profiles, 3) q, v, lam (count, s, .): of the stages
-    q: np.ndarray
-    v: np.ndarray
-    lam: np.ndarray
+    real: Mode | None  # of the real eigenvalue of to_v
+    pair: Mode | None  # of one eigenvalue of a complex pair
+    tied: MuTerms | None  # of mu
+    drives: np.ndarray  # (count, s, profiles, 3) of the stages
+    q: np.ndarray  # (count, s, n) of the stages
+    v: np.ndarray  # (count, s, n)
+    lam: np.ndarray  # (count, s, m)
     to_v: np.ndarray  # (s, s)
-    to_a: np.ndarray
+    to_a: np.ndarray  # (s, s)
     enough: float  # accepted error of w over |w|
-    first: Scratch  # state and products of each stage
-    second: Scratch
-    third: Scratch
+    first: Scratch  # state and products of stage 0
+    second: Scratch  # of stage 1
+    third: Scratch  # of stage 2
     slopes: np.ndarray  # (s, .) phi_z
     turn: np.ndarray  # (s, nodes, 2) rotations from a stage to the middle one
     r: np.ndarray  # (s, columns, nodes, 2) residuals
@@ -116,18 +101,19 @@ def pairs(work, vector):
 
 @entry
 def solve(work, step, right, below, b_v, fields, multipliers, out):
-    """Solve a step by refinement, from the prediction of w in fields, and of the multipliers. The Scratches of work write their results to
-    `out`, SceneAdjoint.products.
+    """Solve the system of the head for w and the multipliers of one step, by refinement from their predictions. Returns a status.
 
-    Returns a status: REFACTOR too if a step costs more than the mean of all steps with the factor, its making included.
+    right, fields (s, columns, nodes, 2): right sides and w; below (s, columns, m); b_v (columns, nodes, 2); multipliers (1 or 2, s, columns,
+    m): mu, and kappa. out (3, s, columns, nodes, 2): the products, which is SceneAdjoint.products: the Scratches of work write there. The
+    status is REFACTOR too if the last steps cost more than the mean of all steps with the factor, its making included.
     """
     record, shape, (_, stages, columns, m) = work.record, work.r.shape, work.rows.shape
-    if record.lately[0] * record.steps[0] > record.work[0] + RENEWAL:
+    if too_old(record):
         return REFACTOR
     right, below, b_v = carray(pointer(right), shape), carray(pointer(below), (stages, columns, m)), carray(pointer(b_v), shape[1:])
     fields, multipliers = carray(pointer(fields), shape), carray(pointer(multipliers), work.rows.shape)
-    for c in range(columns):
-        work.which[c] = c
+    for column in range(columns):
+        work.which[column] = column
     if not prepare_step(work, step, fields, multipliers, b_v):
         return SINGULAR
     status = refine(work, step, right, below, b_v, fields, multipliers)
@@ -135,8 +121,8 @@ def solve(work, step, right, below, b_v, fields, multipliers, out):
         record.slowest[0] = OLD
         stage_products = carray(pointer(out), (3, *shape))
         for i in range(stages):
-            for c in range(columns if not stage(work, i).slowing.shape[1] else 0):
-                clear(stage_products[1, i, c])  # the sweep of Radau IIA adds to them
+            for column in range(columns if not stage(work, i).slowing.shape[1] else 0):
+                clear(stage_products[1, i, column])  # the sweep of Radau IIA adds to them
     return status
 
 
@@ -178,28 +164,23 @@ def prepare_rates(work, terms, step, number):
 
 @part
 def refine(work, step, right, below, b_v, fields, multipliers):
-    """Correct w = fields and the multipliers with the factors of the modes until their errors are small. Returns a status: REFACTOR if they
-    are too old.
+    """Correct w = fields and the multipliers with the factors of the modes until their errors are small. Returns a status.
+
+    Shapes as in `solve`. REFACTOR: the factors are too old.
     """
     which, stages, spent, u = work.which, work.r.shape[0], 0.0, pairs(work, work.q[step, work.r.shape[0] // 2])
     for iteration in range(MAX_CORRECTIONS):
-        for c in which:
-            set_residuals(work, right, below, c)
-            work.unconstrained[c] = 0.0
+        for column in which:
+            set_residuals(work, right, below, column)
+            work.unconstrained[column] = 0.0
         good = correct(work.scene, work.real, work.tied, u, work.r, work.rows, work.unconstrained, which)
         if not (good and correct(work.scene, work.pair, work.tied, u, work.r, work.rows, work.unconstrained, which)):
             return SINGULAR
         work.record.solves[0] += which.shape[0]
         spent += 0.5 * (1.0 + which.shape[0])  # each further column costs about half of the first
-        for e in range(which.shape[0]):
-            work.small[e], hopeless = add_correction(work, fields, multipliers, which[e], iteration)
-            if hopeless and not work.small[e]:
-                return REFACTOR
-        left = 0
-        for e in range(which.shape[0]):
-            if not work.small[e]:
-                work.left[left] = which[e]
-                left += 1
+        if not add_corrections(work, fields, multipliers, which, iteration):
+            return REFACTOR
+        left = list_open_columns(work, which)
         # with one stage, M w of a column that has converged is not needed
         multiply(work, step, fields, multipliers, b_v, which, which if stages > 1 else work.left[:left], False)
         for e in range(left):
@@ -212,6 +193,27 @@ def refine(work, step, right, below, b_v, fields, multipliers):
 
 
 @part
+def add_corrections(work, fields, multipliers, which, iteration):
+    """Correct the columns in `which` and set work.small of each. False as soon as one of them will not converge with the factors."""
+    for e in range(which.shape[0]):
+        work.small[e], hopeless = add_correction(work, fields, multipliers, which[e], iteration)
+        if hopeless and not work.small[e]:
+            return False
+    return True
+
+
+@part
+def list_open_columns(work, which):
+    """Store the columns in `which` that have not converged at the beginning of work.left; return their number."""
+    left = 0
+    for e in range(which.shape[0]):
+        if not work.small[e]:
+            work.left[left] = which[e]
+            left += 1
+    return left
+
+
+@part
 def multiply(work, step, fields, multipliers, b_v, which, moving, anew):
     """Compute the products of w = fields and the multipliers at the stages in the columns of `which`, M w only in those of `moving`.
 
@@ -220,12 +222,12 @@ def multiply(work, step, fields, multipliers, b_v, which, moving, anew):
     for i in range(work.r.shape[0]):
         x, u, v = stage(work, i), pairs(work, work.q[step, i]), pairs(work, work.v[step, i])
         products.body_products(work.scene, work.viscosity, u, v, (which, moving), fields[i], x.rotation if anew else x.rotation[:0], x)
-        for c in which:
-            products.point_products(work.scene.links, work.slopes[i], c, fields[i, c], multipliers[MU, i, c], x)
-            for e in range(work.rows.shape[3]):
-                work.rows[MU, i, c, e] = x.rows[c, e]
-    for c in which:
-        add_mu_terms(work, work.tied, multipliers, b_v, c)
+        for column in which:
+            products.point_products(work.scene.links, work.slopes[i], column, fields[i, column], multipliers[MU, i, column], x)
+            for row in range(work.rows.shape[3]):
+                work.rows[MU, i, column, row] = x.rows[column, row]
+    for column in which:
+        add_mu_terms(work, work.tied, multipliers, b_v, column)
 
 
 @part
@@ -282,7 +284,10 @@ def set_residuals(work, right, below, column):
 
 @part
 def add_correction(work, fields, multipliers, column, iteration):
-    """Add the corrections of the modes to w = fields and the multipliers of a column. Returns the results of `convergence`."""
+    """Add the corrections of the modes to w = fields and the multipliers of a column. Returns (small, hopeless) of `convergence`.
+
+    dw = that of the real mode + 2 Re of that of the pair.
+    """
     if work.r.shape[0] > 1:
         work.dw[:, column] = 0.0
     work.change[:, :, column] = 0.0
@@ -298,7 +303,7 @@ def add_correction(work, fields, multipliers, column, iteration):
                 if f == MU:
                     mu_moved += abs(work.change[f, i, column, e])
                     mu_size += abs(multipliers[f, i, column, e])
-    return convergence(work, column, moved, size, mu_moved, mu_size, iteration)
+    return convergence(work.record, column, iteration, moved, size, mu_moved, mu_size, work.enough, work.largest[column])
 
 
 @fast
@@ -317,51 +322,23 @@ def add_to_w(work, fields, column):
     return moved, size
 
 
-@part
-def convergence(work, column, moved, size, mu_moved, mu_size, iteration):
-    """(True if the error of a column after a correction by `moved` is small enough or round-off, True if it will not become so).
-
-    The error of mu is that of w times M / h^2, and an error of the adjoint of the state before: it is estimated by its own last correction.
-    """
-    record, last, steps = work.record, work.record.moved[column], work.record.steps[0]
-    contraction, measured_at = record.contraction[column], record.measured[column]
-    rate, measured = contraction, iteration > 0 and last > 0.0
-    record.moved[column] = moved
-    if measured:
-        rate = moved / last
-        record.contraction[column] = max(rate, (0.5 if iteration == 1 else 1.0) * contraction)
-        record.measured[column] = steps
-    elif measured_at > 0.0 and steps < measured_at + FRESHEN:
-        rate *= steps / measured_at  # it grows with the distance from the state of the factor
-    else:
-        rate = np.inf
-    slow = measured and not rate <= record.slowest[0]
-    factor = rate / (1.0 - rate) if rate < 1.0 else np.inf
-    small = moved * factor <= work.enough * size and mu_moved * factor <= OF_MU * work.enough * mu_size
-    return small or (slow and moved <= ROUND_OFF * size) or moved <= NEGLIGIBLE * work.largest[column], slow
-
-
-@part
-def count_work(record, solves):
-    """Count a step with its solves."""
-    record.steps[0] += 1.0
-    record.work[0] += solves
-    record.lately[0] += (SMOOTHING if record.steps[0] > 1.0 else 1.0) * (solves - record.lately[0])
-
-
 class SceneAdjoint(AdjointTable):
     """The table of a compiled scene.
 
-    to_v, to_a (s, s): of steps with h = 1 (see `scale`); modes: (row, column) of each mode. factor: function (t, q, v, a, lam, h) of the
-    middle stage
-    -> the Factor of each mode. enough: as of SceneAdjointWork. counts: what counts its work. columns: number of right-hand sides.
+    to_v, to_a (s, s): of steps with h = 1 (see `scale`). modes: (row, column) of each mode. factor: function (t, q, v, a, lam, h) at the middle
+    stage -> [Factor of each mode]. enough: accepted error of w over |w|. counts: Counts to be increased. tied: True if the steps have mu.
+    columns: number of right-hand sides.
     """
 
     def __init__(self, model, to_v, to_a, modes, factor, enough, counts, tied=False, columns=1):
         """Allocate the workspace for s stages and all columns."""
-        self.model, self.modes, self.factor, self.counts, self.tied, self.columns = model, modes, factor, counts, tied, columns
-        self.of_h = (np.array(to_v, float), np.array(to_a, float))
-        self.factor_cache = FactorCache()
+        self.model, self.counts = model, counts
+        self.modes = modes
+        self.factor = factor
+        self.tied = tied
+        self.columns = columns
+        self.of_h = (np.array(to_v, float), np.array(to_a, float))  # to_v and to_a at h = 1
+        self.factor_cache = FactorCache()  # {step h: (modes, {number of a table: its FactorRecord})}
         self.functions = np.zeros(ENTRIES, np.int64)
         s, nodes, kinds, entries = len(to_v), (model.n_nodes, 2), 1 + tied, len(model.arrays.links.row_columns)
         self.helpers = Helpers(threads()) if s == 1 and model.n >= forward.SHARED and threads() > 1 else None
@@ -432,11 +409,9 @@ class SceneAdjoint(AdjointTable):
         return True
 
     def _use(self, modes, known, slowest):
-        """Use the modes of a factor. known: {number of a table: its FactorRecord}."""
+        """Use the modes of a factor. known: {number of a table: its FactorRecord}; slowest: of a new one."""
         if id(self) not in known:
-            record = FactorRecord(*np.zeros((5, 1)), *np.zeros((3, self.columns)))
-            record.slowest[0], record.contraction[:] = slowest, 1.0
-            known[id(self)] = record
+            known[id(self)] = new_record(slowest, self.columns)
         self.w |= modes | {"record": known[id(self)]}
 
     def _mode(self, row, column, factor):

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from polyida.adjoint.parameter import AdjointMultipliers, Parameter, equation_values, select_entries
+from polyida.adjoint.parameter import Parameter, equation_values, select_entries
 from polyida.errors import InputError
 from polyida.model import NEARBY
 from polyida.model.functions import writes
@@ -25,10 +25,10 @@ class UserModelParameter(Parameter):
         """The model's residual_p and phi_p if it has them, else differences of copies of the model."""
         result, own = np.zeros(np.shape(self.value)), unguarded(self.model)
         if writes(own, "residual_p"):
-            result = result + self._by_model_functions("residual_p", work.w, *work[:5])
+            result = result + self._by_model_functions("residual_p", work.w, work.t, work.q, work.v, work.a, work.lam)
             work = work._replace(w=np.zeros_like(work.w))
         if writes(own, "phi_p") and work.mu is not None:
-            result = result + self._by_model_functions("phi_p", work.mu, *work[:2])
+            result = result + self._by_model_functions("phi_p", work.mu, work.t, work.q)
             work = work._replace(mu=None)
         near = work.t if writes(own, "kinks") else np.zeros(0)
         for t in np.unique(near).tolist():
@@ -37,7 +37,10 @@ class UserModelParameter(Parameter):
         return result if result.ndim else float(result)
 
     def _by_model_functions(self, function, factors, times, *states):
-        """Slope of entries by a function of the model (residual_p, phi_p); the guarded one is called only if its results are wrong."""
+        """Slope of entries by a function (name, t, *states) of the model: residual_p or phi_p. factors (entries, rows) multiply its results.
+
+        The guarded function is called only if the results of the model's own are wrong: it explains what is wrong.
+        """
         which = np.flatnonzero(factors.any(axis=1))
         at = list(zip(times[which].tolist(), *(read_only(x[which]) for x in states)))
         shape, own = (len(which), factors.shape[1], *np.shape(self.value)), unguarded(self.model)
@@ -47,10 +50,14 @@ class UserModelParameter(Parameter):
         return np.tensordot(factors[which], slopes, 2)
 
     def _by_differences(self, work, t):
-        """Of entries that no kink that moves with the number passes; t: their time, or None if the model has no kinks."""
-        work = AdjointMultipliers(*work[:6], *(None if x is None or not x.any() else x for x in work[6:]))
+        """Slope of entries by differences of copies of the model, without the equations whose multipliers are all zero.
+
+        t: time of the entries, whose side of a kink is kept; None if the model has no kinks.
+        """
+        of_rows = {name: None if x is None or not x.any() else x for name, x in (("mu", work.mu), ("kappa", work.kappa), ("nu", work.nu))}
+        work = work._replace(**of_rows)
         work = work if work.w.any() else work._replace(w=np.zeros((0, work.w.shape[1])))
-        weights = np.concatenate([x.ravel() for x in work[5:] if x is not None])
+        weights = np.concatenate([x.ravel() for x in (work.w, work.mu, work.kappa, work.nu) if x is not None])
         if not weights.any():
             return 0.0
 
