@@ -318,83 +318,11 @@ class ContactHandler(EventSearch):
         change = self.contacts.slopes(state.t, state.q, [event.law])[0] @ state.a + whole.phi_bias(*at)[row]
         return SIGNS[self.status[event.law]] * float(change)
 
-    def _all_forces(self, state):
-        """Multipliers lam of all rows, closed or not, at a state of the mode."""
-        if self._forces[0] is not state:
-            lam = self.mode.spread(state.lam, self.width)
-            if len(self.shared):
-                contacts, rows = self.contacts, self.contacts.rows[self.shared]
-                G, _, Y = contacts.mobilities(state.t, state.q, self.shared)
-                size, p = 1.0 / np.sqrt(G.diagonal()), -lam[rows]
-                scaled = size[:, None] * G * size
-                least = size * np.linalg.lstsq(scaled, size * (G @ p), rcond=DEPENDENT)[0]
-                lam[rows] = -least
-                lam[contacts.equations] += Y @ (least - p)
-            self._forces = state, lam
-        return self._forces[1]
-
-    def _set_mode(self, t, q, v):
-        """Set the model of the statuses, the rows that share forces, and those that the equations hold."""
-        contacts, laws, status = self.contacts, self.whole.row_laws, self.status
-        rates, gaps = self.whole.phi_rate(t, q, v)[contacts.rows], contacts.gaps(t, q)
-        still = contacts.still(v)
-        equal = np.where(contacts.contact, status == CLOSED, status == STICKS)
-        slips = [(law, SIGNS[s]) for law, s in zip(laws, status) if s in SIGNS and (law.mu or law.constant)]
-        pressed = contacts.contact | contacts.active(status == CLOSED)
-        resting = np.flatnonzero((np.abs(rates) <= still) & (gaps <= TOUCH * (self.whole.extent or 1.0)) & pressed)
-        self.shared = self.watched = NONE
-        self.held = np.zeros(len(laws), bool)  # True for rows at rest that other rows hold: they have no function
-        self.fixed = np.zeros(len(laws), bool)  # True for rows that slip and that equations alone move
-        kept = np.flatnonzero(equal)
-        sliding = np.flatnonzero(status >= SLIPS_UP)
-        if len(sliding) and contacts.turning:
-            G, mobility, _ = contacts.mobilities(t, q, sliding)
-            self.fixed[sliding] = G.diagonal() <= FIXED * mobility
-        if len(resting) and (len(resting) > 1 or not equal[resting[0]]):
-            G, mobility, _ = contacts.mobilities(t, q, resting)
-            size = np.where(G.diagonal() <= FIXED * mobility, np.inf, np.maximum(G.diagonal(), DEPENDENT * mobility))
-            kept, held = _independent(G, np.isin(resting, kept), size)
-            kept, held = resting[kept], resting[held]
-            self.watched = held[~self.fixed[held]]
-            self.held[self.watched] = True
-            pressing = {row for law, _ in slips for row in law.on}
-            if (self.held & equal).any():
-                self.shared = np.array([k for k in resting if equal[k] and laws[k].row not in pressing], np.int64)
-                self.held[self.shared] = False
-        rows = np.sort(np.concatenate([contacts.equations, contacts.rows[kept]]))
-        key = rows.tobytes(), tuple((law.row, sign) for law, sign in slips)
-        if key not in self.modes:
-            self.modes[key] = self._slipping(t, q, rows, slips) if slips else self.whole.with_rows(rows)
-        self.mode = self.modes[key]
-        # (state, its multipliers, rates or values): of the last state that they were computed at
-        self._forces = self._held = self._known = None, None
-        self.equations = self.whole.with_rows(rows) if len(self.watched) or slips else self.mode
-
-    def _slipping(self, t, q, rows, slips):
-        """The model in which these rows are equations and others slip, `slips`; in compiled code unless friction nearly holds by itself at (t, q)."""
-        plain = Slips(self.whole, rows, slips)
-        if not (self.whole.is_scene and self.compiled) or plain.contraction(t, q) >= CERTAIN:
-            return plain
-        from polyida.assembly.slipping import SlippingScene
-
-        return SlippingScene.of(self.whole, rows, slips)
-
-    def _settled(self, t, q, v, closed, begins=0.0, dwells=NONE):
-        """The State with consistent accelerations, and all columns of lam; sets statuses and mode. begins: directions of slip from rest.
-
-        dwells: rows that equations hold at rest from now on.
-        """
-        contacts = self.contacts
-        behind, sampled = self._behind(t, q, v)
-        a, lam, p, status = contacts.accelerations(behind, q, sampled, closed, begins=begins, dwells=dwells)
-        rates = self.whole.phi_rate(t, q, v)[contacts.rows]
-        bounded = np.array([law.is_contact or law.mu > 0.0 or law.constant > 0.0 for law in self.whole.row_laws])
-        slips = ~contacts.contact & (np.abs(rates) > contacts.still(v))
-        slips[dwells] = False
-        status = np.where(slips & (status > 0), np.where(rates > 0.0, SLIPS_UP, SLIPS_DOWN), status)
-        self.status = np.where(bounded & contacts.active(closed), status, 0)
-        self._set_mode(t, q, v)
-        return State(t, q, v, a, contacts.all_multipliers(lam, p), restart=False)
+    def _hit(self, state):
+        """True for the contacts that have closed and whose gap decreases, (rows with laws,)."""
+        contacts, still, size = self.contacts, self.contacts.still(state.v), TOUCH * (self.whole.extent or 1.0)
+        rates = self.whole.phi_rate(state.t, state.q, state.v)[contacts.rows]
+        return contacts.contact & (contacts.gaps(state.t, state.q) <= size) & (rates < -still)
 
     @timed
     def _change(self, state, fired):
@@ -471,7 +399,7 @@ class ContactHandler(EventSearch):
         slips[dwells] = False
         status = np.where(slips & (status > 0), np.where(rates > 0.0, SLIPS_UP, SLIPS_DOWN), status)
         self._set_status(np.where(bounded & contacts.active(closed), status, 0), t, q, v)
-        return State(t, q, v, a, contacts.all(lam, p), restart=False)
+        return State(t, q, v, a, contacts.all_multipliers(lam, p), restart=False)
 
     def _require_progress(self, t, rows):
         """True if a change is later than the last one; raises StepFailure if rows change too often, in all or at one time."""
