@@ -28,17 +28,17 @@ ALONE = ctypes.CFUNCTYPE(ctypes.c_int64)  # called without reading its arguments
 class PythonTable:
     """The table of any model: each entry is a callback.
 
-    functions: the addresses; workspace: address of the model's arrays, or 0. longest: steps of a stretch, chosen by the time that they take,
-    at most `most`: a stretch cannot be interrupted. raised: the exception of a callback, until the driver has returned. stages: those of a step of
-    Radau IIA, whose instants follow that of the step's beginning. ends: times of the first and the last end, or beside them inside the steps at
-    a kink. factored: the step matrix in `at_work` (of Radau IIA: Matrices in SELECT). rate_state, saddle: (t, q) of the last RATE that PROJECT
-    may follow, and the mass system there, None before PROJECT.
+    `prepare` sets the times of a stretch; `at_work` gives the addresses to the driver; `raise_error` follows its return.
+
+    functions: the addresses of the entries. raised: the exception of a callback, until the driver has returned. ends: times of the first and the
+    last end, or beside them inside the steps at a kink. factored: the step matrix in `at_work` (of Radau IIA: Matrices in SELECT). rate_state:
+    (t, q) of the last RATE that PROJECT may follow.
     """
 
-    longest = 1
-    instants = most = INSTANTS
-    workspace = stages = 0
-    increments = saddle = None
+    longest = 1  # steps of a stretch, chosen by the time that they take, up to `most`
+    instants = most = INSTANTS  # rows of `times`; largest `longest`, because a stretch cannot be interrupted
+    workspace = stages = 0  # address of the model's arrays, or 0; stages of Radau IIA, whose instants follow that of the step's beginning
+    increments = saddle = None  # increments of the constraints, or None; mass system at rate_state, None before PROJECT
 
     def __init__(self, model, incremental=False):
         """Make the table of a guarded model; incremental: True if its constraints are computed by increments from the step's beginning."""
@@ -48,7 +48,7 @@ class PythonTable:
         self._fill()
 
     def _fill(self):
-        """Store the address of each entry in `functions`."""
+        """Store the address of each entry in `functions`. __init__ calls it: what it reads must be set before super().__init__."""
         for number, function in self._entries().items():
             self.functions[number] = self._address(function)
 
@@ -218,7 +218,10 @@ class DenseTable(PythonTable):
     levels = small.NO_LEVELS
 
     def _fill(self):
-        """Make the workspace with the model's functions and what the model needs; the entries are compiled by `serve`."""
+        """Make the workspace with the model's functions and what the model needs; the entries are compiled by `serve`.
+
+        __init__ calls it: `stages` and `levels`, which it reads, must be set before super().__init__.
+        """
         model, needs = self.model, self.model.needs
         functions, flags = np.zeros(len(small.FUNCTIONS), np.int64), np.zeros(small.FLAGS, np.int64)
         flags[small.MASS_VARIES] = needs.mass_varies
@@ -272,9 +275,10 @@ class DenseTable(PythonTable):
         }
 
     def _callback(self, out, function, t, *vectors):
-        """The callback that calls a function of the model with copies of the vectors, because the user may store them, and writes the result to `out`.
+        """A callback without arguments that writes function(t, *copies of the vectors) to `out`; its status is DONE or RAISED.
 
-        t: the function that gives the time, None if it is no argument. All is written here again, because each call in Python takes 0.1 us.
+        The vectors are copied because the user may store them. t: the function that gives the time, None if it is no argument. What a
+        CheckedFunction does is written here again, because each call in Python takes 0.1 us.
         """
         seen, convert, explain = [(), None], dense, lambda error: error
         if isinstance(function, CheckedFunction):
