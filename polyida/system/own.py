@@ -28,20 +28,17 @@ WITHOUT_ARGUMENTS = ctypes.CFUNCTYPE(ctypes.c_int64)  # called without reading i
 class PythonTable:
     """The table of any model: each entry is a callback.
 
-    `prepare` sets the times of a stretch; `at_work` gives the addresses to the driver; `raise_error` follows its return. What subclasses answer
-    otherwise they put into `_entries`.
+    `prepare` sets the times of a stretch; `at_work` gives the addresses to the driver; `raise_error` follows its return.
+
+    functions: the addresses of the entries. raised: the exception of a callback, until the driver has returned. ends: times of the first and the
+    last end, or beside them inside the steps at a kink. factored: the step matrix in `at_work` (of Radau IIA: Matrices in SELECT). rate_state:
+    (t, q) of the last RATE that PROJECT may follow.
     """
 
-    # may be set by a subclass before super().__init__:
-    instants = INSTANTS  # number of rows of `times`
-    most = INSTANTS  # largest `longest`: a stretch cannot be interrupted
-    stages = 0  # of a step of Radau IIA, whose instants follow that of the step's beginning
-    # state of the table:
-    longest = 1  # steps of a stretch, chosen by the time that they take
-    workspace = 0  # address of the model's arrays, or 0
-    increments = None  # increments of the constraints of each part of the step, or None
-    saddle = None  # mass system at `rate_state`, (t, q) of the last RATE; None before PROJECT
-    factored = None  # the step matrix in `at_work` (of Radau IIA: Matrices in SELECT)
+    longest = 1  # steps of a stretch, chosen by the time that they take, up to `most`
+    instants = most = INSTANTS  # rows of `times`; largest `longest`, because a stretch cannot be interrupted
+    workspace = stages = 0  # address of the model's arrays, or 0; stages of Radau IIA, whose instants follow that of the step's beginning
+    increments = saddle = None  # increments of the constraints, or None; mass system at rate_state, None before PROJECT
 
     def __init__(self, model, incremental=False):
         """Make the table of a guarded model; incremental: True if its constraints are computed by increments from the step's beginning."""
@@ -55,7 +52,7 @@ class PythonTable:
         self.views = {}  # {(address, size): array}
         self._make_functions()
 
-    def _make_functions(self):
+    def _fill(self):
         """Store the address of each entry in `functions`. __init__ calls it: what it reads must be set before super().__init__."""
         for number, function in self._entries().items():
             self.functions[number] = self._address(function)
@@ -229,7 +226,7 @@ class DenseTable(PythonTable):
     entries: tuple[int, ...] = RESIDUAL, BEGIN, CONSTRAINTS, FACTOR, SOLVE, RATE, PROJECT, ACCEPT
     levels = small.NO_LEVELS
 
-    def _make_functions(self):
+    def _fill(self):
         """Make the workspace with the model's functions and what the model needs; the entries are compiled by `serve`.
 
         __init__ calls it: `stages` and `levels`, which it reads, must be set before super().__init__.

@@ -25,7 +25,8 @@ from polyida.system.scene_factors import Factor, scene_factors
 from polyida.system.scene_functions import FUNCTIONS, SceneWork, idle, new_slopes
 
 SHARED = 20_000  # coordinates above which several threads share the solves
-# factors that functions read: others are compiled for a workspace without any, once for all methods
+# factors that functions read: others are compiled for a workspace without any, once for all methods. RESIDUAL reads no factor and is compiled for
+# (real, pair) = (None, None), SOLVE for (type of `real`, None)
 BOTH = {"real": None, "pair": None}
 READS = {table.SOLVE: ("real",), table.REAL: ("real",), table.PAIR: ("pair",), table.MATRICES: tuple(BOTH), table.SELECT: tuple(BOTH)}
 
@@ -113,7 +114,7 @@ class Scene:
         return self.types_by_factors[known]
 
     def take_error(self):
-        """The exception of a Python function that compiled code called, or None."""
+        """The exception of a Python function that compiled code called, or None; it is forgotten here."""
         error, self.raised = self.raised or self.model.take_error(), None
         return error
 
@@ -171,7 +172,8 @@ class SceneTable(OneFactorScene):
         condensed = condensed and bool(model.strains)
         self.unknowns = 2 * model.n_factored if condensed else model.n
         begin, wanted = np.arange(INSTANTS) - 1, {LAW_FORCES, DAMPING} | ({RELAXING} if not condensed else set())
-        begin[0] = INSTANTS  # the last row
+        # begin[k]: row of `drives` at the begin of the step that ends at instant k; that of the first step is the last row
+        begin[0] = INSTANTS
         options = {"pairs": self.unknowns // 2, "incremental": bool(incremental), "condensed": condensation(model, condensed)}
         super().__init__(model, np.ones(1), np.zeros(INSTANTS, np.int64), begin, wanted, **options)
         calls = self.w["condensed"].calls[:2].copy()

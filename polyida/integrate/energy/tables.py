@@ -48,7 +48,10 @@ def table_of(model):
 
 
 def discrete_derivative(potential, x0, x1, metric):
-    """`[V_1 - V_0 - V'] M dx / (dx^T M dx)` from x0 to x1, metric = M dx; zero if it is round-off."""
+    """`[V_1 - V_0 - V'] M dx / (dx^T M dx)` from x0 to x1, (n,); zero if it is round-off.
+
+    x0, x1, metric = M dx: (n,). V' is integrated from central differences; POINTS are their (s, weight).
+    """
     dx, middle = x1 - x0, 0.5 * (x0 + x1)
     size, first, last = np.vdot(dx, metric), potential(x0), potential(x1)
     work = sum(weight * (potential(middle + s * dx) - potential(middle - s * dx)) / (2.0 * s) for s, weight in POINTS)
@@ -59,7 +62,9 @@ def discrete_derivative(potential, x0, x1, metric):
 
 
 class MiddleTable:
-    """Mixed into tables with instants of a step's middle and end. complete: True if entries of the table make v, a and lam of frames.
+    """Mixed into tables with instants of a step's middle and end.
+
+    complete: True if the table itself computes v, a and lam of frames, by its entries RATE, PROJECT and ACCELERATION.
 
     `prepare` takes `last`, not the pair `ends` of PythonTable: a step's beginning is never evaluated.
     """
@@ -148,7 +153,8 @@ def middle(work, instant, states, lam, residual, phi):
 def add_elements(work, drives, h, states, dz, residual):
     """Add force elements to the residual, and renew their slopes. Returns a status.
 
-    points[DX] first holds h/2 times the accelerations, then the places of the middle; dz holds those of the end.
+    1. START and VX: places at the begin, velocities of the middle. 2. DX: h/2 a. 3. Forces. 4. DX: places of the middle, for the slopes. So points[DX]
+    first holds h/2 times the accelerations, then the places of the middle; dz holds those of the end.
     """
     links, optional, points, status = work.scene.links, work.optional, work.points, DONE
     if optional[LAW_MIDDLE] != 0:

@@ -2,6 +2,14 @@
 
 Steps of equal length repeat nearly the same prediction error. The errors of the last TERMS steps are kept, newest first. Each new error is
 fitted by those before it, in the least-squares sense, and the weights that would have predicted best predict the next one.
+
+With x_o the prediction error o steps ago, x that of this step, <., .> weighted by `shares`, and w_o the weights of the last `count` errors that
+were known before this step, each step updates for count = 1 to TERMS
+
+    EXCESS[count] = FORGET EXCESS[count] + |x - sum_o w_o x_o|^2 - |x|^2
+
+which is below 0 if `count` errors predict better than none. New weights w minimise |x - sum_o w_o x_o|^2 (`fit`). The next prediction takes those
+of the count with the least EXCESS below 0, or none.
 """
 
 import numpy as np
@@ -34,6 +42,9 @@ def predict(tableau, h, memory, trial, work):
 
     v is extrapolated and integrated, which is more accurate than the polynomial of q. At the start of a run, and after much shorter steps,
     q = q_0 + c h v_0.
+
+    `ahead` (s, s) has the Lagrange polynomials through the nodes of the last step at 1 + c_k h/last, column j that of node j: first those of lam,
+    then, with a zero at the step's begin, those of v, minus the last row, for its change from the end. `to_e` = h A ahead integrates it.
     """
     stages, last, ahead, to_e = trial.e.shape[0], memory.marks[LAST], work.weights[0], work.weights[1]
     clear(trial.mu)
@@ -85,7 +96,11 @@ def add_prediction_error(memory, trial, work):
 
 @fast
 def store_prediction_error(memory, trial, work):
-    """Store the prediction error of the step, and the weights of the errors in the next one: of 1 to TERMS errors, as many as predicted best."""
+    """Store the prediction error of the step, and the weights of the errors in the next one: of 1 to TERMS errors, as many as predicted best.
+
+    1. start_e becomes the error; products (TERMS, TERMS + 1): <x_o, x_j>, and <x_o, x> in column `known`. 2. EXCESS by the old weights. 3. New
+    weights by `fit`, and those of the best count. 4. The error becomes the newest one that is kept. o, j: numbers of errors, k: of stages.
+    """
     marks, known = memory.marks, int(memory.marks[MISSES])
     weights, fits, excess = marks[WEIGHTS:FITS], marks[FITS:EXCESS], marks[EXCESS:]
     if work.progress[EXTENDED] == 0.0:
@@ -135,7 +150,9 @@ def put_first(rows, newest):
 
 @part
 def fit(products, known, fits):
-    """Weights of 1 to TERMS vectors in the least-squares fit to another one, TERMS each; those of fewer vectors if they are large or undetermined.
+    """Least-squares weights of the last 1, 2, ... TERMS errors: fits[TERMS count + o] solve `sum_j <x_o, x_j> w_j = <x_o, x>`.
+
+    Where weights are above LARGEST_WEIGHT or not determined, those of fewer errors are taken.
 
     products (o, j): of vectors o and j >= o, and in column `known` of vector o and the other one. They become L D L^T of the vectors' products,
     which is nested, and L^-1 of the column.

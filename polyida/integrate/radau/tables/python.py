@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from polyida import system as of
+from polyida import system as table
 from polyida.errors import DONE, REASONS, SINGULAR, InputError
 from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.matrices import Rows
@@ -16,11 +16,12 @@ from polyida.system.own import DenseTable, PythonTable, small_own
 
 
 class Stages:
-    """Attributes and methods that all tables of Radau IIA share; defaults for tables that get the times step by step."""
+    """What all tables of Radau IIA answer beside their entries, with the values for tables that get the times step by step."""
 
-    lifts = True  # whether G = B D^-1 has the D of `weigh`; else D = 1
-    renewal = 20.0  # iterations that cost as much as new factors
-    prepared, single = False, False  # whether a stretch's instants are known before, whether the matrices of one slot are at hand only
+    lifts = True  # G = B D^-1 has the D of `set_lift`; False: D = 1
+    renewal = 20.0  # Newton iterations that cost as much as new factors (read by `attempt` of loop.py)
+    prepared = False  # the instants of a whole stretch are known before it (read by steps.py)
+    single = False  # only the factors used last exist; those of other slots are made again
 
     def begin(self, engine, state, control, ends):
         """The instant at which a stretch begins."""
@@ -34,7 +35,7 @@ class Stages:
 class PythonStages(Stages, PythonTable):
     """The table of any model and its matrices, `kind(model, modes, h, made_at)`; each entry is a callback.
 
-    lift (n,): the diagonal of D^-1. B: phi_q of the stages where REACTION was asked last. A stretch has one step, because matrices that are made
+    A stretch has one step, because matrices that are made
     within it are counted at its end.
     """
 
@@ -42,15 +43,21 @@ class PythonStages(Stages, PythonTable):
 
     def __init__(self, model, tableau, tied, kind):
         """Take the tableau; tied: True if there is mu; kind: function that makes the Matrices of a slot."""
-        self.tableau, self.tied, self.kind, self.lift, self.slots, self.reason = tableau, tied, kind, np.ones(model.n), {}, ""
-        self.stages, self.B = tableau.stages, [None] * tableau.stages
+        self.tableau = tableau
+        self.tied = tied
+        self.kind = kind
+        self.stages = tableau.stages
+        self.lift = np.ones(model.n)  # diagonal of D^-1
+        self.slots = {}  # {number of a slot: Matrices}
+        self.reason = ""  # of the last status SINGULAR
+        self.B = [None] * tableau.stages  # phi_q of each stage at its last REACTION
         super().__init__(model, model.has_constraint_increments)
 
     def _entries(self):
         """{number of an entry: method} of the table, with those of Radau IIA's stages and modes."""
-        entries = super()._entries() | {of.PREPARE: self._prepare, of.REACTION: self._reaction}
-        entries |= {of.REAL: self._real, of.PAIR: self._pair, of.INERTIA: self._inertia, of.ACCELERATION: self._acceleration}
-        return entries | {of.ROWS: self._rows, of.SELECT: self._select}
+        entries = super()._entries() | {table.PREPARE: self._prepare, table.REACTION: self._reaction}
+        entries |= {table.REAL: self._real, table.PAIR: self._pair, table.INERTIA: self._inertia, table.ACCELERATION: self._acceleration}
+        return entries | {table.ROWS: self._rows, table.SELECT: self._select}
 
     def set_lift(self, lift):
         """Set lift (n,), the diagonal of D^-1: the weights of B^T mu in the stages' `q' - v + D^-1 B^T mu = 0`."""
@@ -135,10 +142,10 @@ class PythonStages(Stages, PythonTable):
     def _correct(self, mode, kind, r, closing, lam, dq, multipliers, _):
         """Write dq and multipliers of a mode; kind: float or complex, the type of its arrays."""
         n, m = self.model.n, self.model.m
-        r, dq, closing, multipliers = (
-            self._array(at, size * (1 + (kind is complex))).view(kind)
-            for at, size in ((r, n), (dq, n), (closing, 2 * m), (multipliers, 2 * m))
-        )
+        r = self._typed(r, n, kind)
+        dq = self._typed(dq, n, kind)
+        closing = self._typed(closing, 2 * m, kind)
+        multipliers = self._typed(multipliers, 2 * m, kind)
 
         def solve():
             """Solve for the corrections, and write them to the arrays at the addresses."""
@@ -147,6 +154,11 @@ class PythonStages(Stages, PythonTable):
             dq[:], multipliers[:m], multipliers[m : m + tied] = corrections
 
         return self._tried(solve)
+
+    def _typed(self, address, size, kind):
+        """The array (size,) of floats or complex numbers (kind) at an address."""
+        floats = 2 * size if kind is complex else size
+        return self._array(address, floats).view(kind)
 
     def _inertia(self, instant, v, a, r, p, q, rows):
         """Write r = `C v + M a`, and at their addresses, unless these are 0, p = `M v` and the constraint rows times v."""
@@ -178,8 +190,8 @@ class DenseStages(Stages, DenseTable):
     """The table of a small model. levels (k, 3): factors of phi, phi' and phi'' in each of k blocks of constraint rows."""
 
     entries = (
-        of.RESIDUAL, of.PREPARE, of.BEGIN, of.REACTION, of.CONSTRAINTS, of.RATE, of.BIAS, of.PROJECT, of.ACCEPT, of.ROWS, of.REAL, of.PAIR,
-        of.INERTIA, of.ACCELERATION, of.MATRICES, of.SELECT,
+        table.RESIDUAL, table.PREPARE, table.BEGIN, table.REACTION, table.CONSTRAINTS, table.RATE, table.BIAS, table.PROJECT, table.ACCEPT, table.ROWS, table.REAL, table.PAIR,
+        table.INERTIA, table.ACCELERATION, table.MATRICES, table.SELECT,
     )  # fmt: skip
 
     def __init__(self, model, tableau, levels):

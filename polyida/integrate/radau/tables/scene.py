@@ -35,9 +35,9 @@ def inverse_mass(model):
 
 
 class SceneStages(Scene):
-    """The table of a scene.
+    """The table of a scene: `begin` prepares a stretch, `make` the factors of a slot.
 
-    single: Python makes the factors, so that those of one slot only are at hand. prepared: the loads of the whole stretch are in `drives`; else
+    An instant is the begin of a step or one of its s stages, numbered one after the other over the steps of a stretch. single: Python makes the factors, so that those of one slot only are at hand. prepared: the loads of the whole stretch are in `drives`; else
     PREPARE evaluates them in each step, in Python until there is a workspace, then compiled if all profiles have formulas.
     """
 
@@ -78,7 +78,11 @@ class SceneStages(Scene):
         """No effect: a scene has no constants to evaluate before a run."""
 
     def begin(self, engine, state, control, ends):
-        """Prepare a stretch: the loads and motors of equal steps are evaluated before it, those of adaptive ones in each step."""
+        """Prepare a stretch: the loads and motors of equal steps are evaluated before it, those of adaptive ones in each step.
+
+        The first call makes empty factors and compiles the functions for their type. ends: times of the ends of equal steps. Returns the first
+        instant, 0.
+        """
         if self.work is None and not self.single:
             self.entries |= entries(of.MATRICES, of.SELECT)
             self.set_factors(**{"pair" if mode.paired else "real": empty_factor(self.model, mode) for mode in self.tableau.modes})
@@ -100,7 +104,10 @@ class SceneStages(Scene):
             self.functions[of.PREPARE] = entry_address(FUNCTIONS[of.PREPARE], self.type_for())
 
     def _prepare(self, model, first, times, *_):
-        """Evaluate loads and motors of one step, as the callback PREPARE; an exception is stored."""
+        """Evaluate loads and motors of one step, as the callback PREPARE; an exception is stored.
+
+        times: address of (3 + s,) floats: h, t, and the times of the s + 1 instants.
+        """
         try:
             h, t, _, *at = (ctypes.c_double * (3 + self.tableau.stages)).from_address(times)
             self._take_loads(np.array([t]), np.array([at]), h)
