@@ -29,18 +29,15 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __init__(self, dataset, tail, count, path):
         """Take a dataset of at least count - len(tail) rows, the last frames, the number of all, and the path for messages."""
-        self._dataset = dataset
-        self._tail = tail
-        self._stored = count - len(tail)  # frames of the dataset that belong to these
-        self._path = path
-        self.dtype = tail.dtype
+        self._dataset, self._tail = dataset, tail
+        self._path, self.dtype = path, tail.dtype
         self._file = getattr(dataset, "file", None)  # keeps the file open
         self.cut(count)
 
     def cut(self, count):
-        """Keep the first `count` frames, and set shape and sizes for them."""
-        self._stored = min(self._stored, count)
-        self._tail = self._tail[: count - self._stored]
+        """Keep the first `count` frames."""
+        stored = min(vars(self).get("_stored", count - len(self._tail)), count)
+        self._stored, self._tail = stored, self._tail[: count - stored]
         self.shape = (int(count), *self._tail.shape[1:])
         self.ndim, self.size = len(self.shape), int(np.prod(self.shape))
         self.nbytes = self.dtype.itemsize * self.size

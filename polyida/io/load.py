@@ -66,9 +66,7 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
             sensors = sensors_of(stored)
             status, message = str(record["status"]), str(record["message"])
             if status == "running":
-                status, message = "interrupted", KILLED + TORN if stored.torn else KILLED
-                if stored.live:
-                    status, message = "running", STILL
+                status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
             if damage:
                 status, message = "damaged", damage
             return Trajectory(

@@ -100,7 +100,7 @@ class Stored:
             if str(file.attrs.get("format")) != FORMAT:
                 raise InputError(f"not a polyida trajectory (format {file.attrs.get('format')!r}, {FORMAT!r} is needed)")
             self.about = json.loads(self._array("about").astype(np.uint8).tobytes())
-            self.record, numbers, self.torn = self._newest()
+            self.record, numbers = self._newest()
             self.n, self.m = (self._dataset(name, None, None).shape[1] if name in file else 0 for name in ("q", "lam"))
             self.shapes = shapes_of(self.n, self.m, dict.fromkeys(self.about["drives"]))
             self.sensors = {str(name): tuple(map(int, shape)) for name, shape in self.about.get(SENSORS, {}).items()}
@@ -156,14 +156,13 @@ class Stored:
         return {name.removeprefix(f"{group}/"): self._array(name) for name in names if name.startswith(f"{group}/")}
 
     def _newest(self):
-        """(record, numbers, torn) of the newer complete slot; waits for one that is being written. torn: True if the other slot is damaged."""
+        """(record, numbers) of the newer complete slot; waits for one that is being written."""
         for _ in range(TRIES if self.live else 1):
             slots = [self._slot(f"slot {k}") for k in range(2)]
             if whole := [slot for slot in slots if slot]:
-                record, numbers = max(whole, key=lambda slot: int(slot[0]["commit"]))
-                return record, numbers, any(slot is None for slot in slots)
-            if self.live:
-                time.sleep(PAUSE)
+                self.torn = any(slot is None for slot in slots)
+                return max(whole, key=lambda slot: int(slot[0]["commit"]))
+            time.sleep(PAUSE * self.live)
         raise InputError("it has no whole record of a flush; nothing in it holds")
 
     def _slot(self, name):

@@ -63,10 +63,7 @@ class _Encoder:
         return {field: self.value(name, f"{key} {field}", value) for field, value in values.items()}
 
     def value(self, name, key, value):
-        """The data of a value of the part of that name; key: the prefix of its arrays.
-
-        The first case that holds counts: a bool is no number, a whole number no float, and lists of numbers come last.
-        """
+        """The data of a value of the part of that name."""
         if isinstance(value, Attachment):
             return {"side": self._side(key, value)}
         if isinstance(value, Ground):
@@ -185,10 +182,7 @@ class _Decoder:
         return kind(**values, name=entry["name"])
 
     def value(self, entry, key, value):
-        """The value of a field from its data `value`, as the head describes them. entry: of its part; key: the prefix of its arrays.
-
-        Data are a dictionary with the name of their case as a key; a mesh has "sections" and "order" beside it.
-        """
+        """The value of a field from its plain data `entry`; key: the prefix of its arrays."""
         if not isinstance(value, dict):
             return tuple(value) if isinstance(value, list) else value
         if "unknown" in value:

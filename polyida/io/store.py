@@ -76,11 +76,7 @@ class FrameStore:
 
     They are written to their final place in memory, up to `limit` bytes, and block after block from there to the `file`, if there is one.
     Beyond the limit, or from the start if more frames are `expected`, they go to the file or to temporary files, and memory has one block.
-    single: q, v, a and lam in single precision. Raises NotWritten. The state is one of three:
-
-        whole, no file    all frames are in `_block`, `_away` is None, `_first` is 0
-        whole, file       all frames are in `_block`; `_away`, the file, has the first of them too, `_first` is 0
-        not whole         `_away`, the file or a Spill, has the frames before number `_first`, `_block` the `_rows` after them
+    single: q, v, a and lam in single precision. Raises NotWritten.
     """
 
     def __init__(self, n, m, limit=MEMORY_LIMIT, file=None, single=False, expected=0):

@@ -60,15 +60,15 @@ class Source(io.RawIOBase):
 
 
 def checksum(data):
-    """lookup3 of the 44 bytes before a superblock's checksum: `hashlittle` with the initial value 0. a, b, c are its state, 32 bits each."""
-    words = struct.unpack("<11I", data)
+    """lookup3 of the 44 bytes before a superblock's checksum."""
+    words = [*struct.unpack("<11I", data), 0]
     a = b = c = 0xDEADBEEF + len(data)
-    for k in (0, 3, 6):  # all words but the last two are mixed into the state, three at once
+    for k in (0, 3, 6):
         a, b, c = a + words[k], b + words[k + 1], c + words[k + 2]
-        for shift in (4, 6, 8, 16, 19, 4):  # `mix` of lookup3; the names change places after each line of it
+        for shift in (4, 6, 8, 16, 19, 4):
             a, b, c = b, b + c & MASK, (a - c & MASK) ^ _turned(c, shift)
     x, y, z = c, b + words[10] & MASK, a + words[9] & MASK
-    for shift in (14, 11, 25, 16, 4, 14, 24):  # `final` of lookup3, likewise
+    for shift in (14, 11, 25, 16, 4, 14, 24):
         x, y, z = z, (x ^ y) - _turned(y, shift) & MASK, y
     return y
 

@@ -92,8 +92,8 @@ def writing(path):
 class Writer:
     """An open file, beside `shown` until `publishing` moves it there. Methods raise NotWritten.
 
-    path: its present place. single: q, v, a and lam in single precision. frames, sensors: Tables; committed: frames of the last commit. drives:
-    {name: profile}; width: of a row of sensors, 0 without sensors.
+    path: its present place. single: see FrameStore. frames, sensors: Tables; committed: frames of the last commit. drives: {name: profile}; width:
+    of a row of sensors, 0 without sensors.
     """
 
     def __init__(self, shown, n, m, about, arrays, drives, fsync=False, single=False, width=0):
@@ -184,12 +184,8 @@ class Writer:
 
         last: into both slots, so that damage to one of them does no harm.
         """
-        record = record | {
-            "frames": self.frames.count + len(tail[0]),
-            "tail": len(tail[0]),
-            "sensors": self.sensors.count + len(sensed),
-            "sensors tail": len(sensed),
-        }
+        record |= {"frames": self.frames.count + len(tail[0]), "tail": len(tail[0])}
+        record |= {"sensors": self.sensors.count + len(sensed), "sensors tail": len(sensed)}
         numbers = np.concatenate([np.ravel(x) for x in (*numbers, *tail, sensed)]).tobytes()
         for _ in range(1 + last):
             text = json.dumps(record | {"commit": self.commits}, default=_listed).encode()
@@ -212,7 +208,7 @@ class Writer:
             os.fsync(self.descriptor)
 
     def _reserve(self, growing=None, rows=0):
-        """Reserve space on the disk for `rows` more of the table `growing`: HDF5 cannot close a file that it could not write.
+        """Reserve space on the disk for `rows` more: HDF5 cannot close a file that it could not write.
 
         HDF5 places chunks late, so the size is computed here: complete chunks, their checksums and index.
         """
@@ -220,19 +216,15 @@ class Writer:
         if size < self._reserved:
             raise OSError(f"another program cut the file to {size} bytes")
         chunks = sum(table.bytes(rows if table is growing else 0) for table in self._tables)
-        index = chunks // 32  # bytes of the index of chunks, at most
-        need = self._start + chunks + index + self._slots + ABOVE
-        if need > self._reserved:
-            self._allocate(size, need)
-            self._reserved = need
-
-    def _allocate(self, size, need):
-        """Make the file `need` bytes long on the disk; size: its bytes now."""
+        need = self._start + chunks + chunks // 32 + self._slots + ABOVE
+        if need <= self._reserved:
+            return
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(self.descriptor, 0, need)
         else:  # macOS, Windows
             os.lseek(self.descriptor, 0, os.SEEK_END)
             write_all(self.descriptor, bytes(max(0, need - size)))
+        self._reserved = need
 
     @contextmanager
     def publishing(self, overwrite):
