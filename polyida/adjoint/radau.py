@@ -139,7 +139,11 @@ class RadauAdjoint(RunAdjoint):
         return begin.t
 
     def _stages(self, segment, first, end):
-        """(first State, True if it is at a kink, States, Stages) of the steps from state number `first` to `end`."""
+        """(first State, True if it is at a kink, States, Stages) of the steps of a segment from state number `first` to number `end`.
+
+        The first State is the stored one. If the segment begins at a kink, States has in its place that of the far side of the kink, from
+        which the steps go; States has end - first + 1 states, and Stages those of the end - first steps, solved again.
+        """
         b = self._states(first, end + 1)
         begin = b.state(0)
         kink = first == segment.first and at_kink(self.model, begin.t)

@@ -55,7 +55,10 @@ def condensation(model, condensed):
 
 @part
 def take_strain(scene, body, moved, strain):
-    """Store the strain of a body at `moved`; in the last place, which an odd size of y leaves unused, 0."""
+    """Overwrite strain with the strains of a body at the displacements `moved` (nodes, 2): of a full plate E at its points, else y - y_0.
+
+    The last place, which an odd size of y leaves unused, becomes 0.
+    """
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
@@ -86,7 +89,10 @@ def step_numbers(work, at):
 
 @part
 def condensed_force(work, body, moved, residual, rotation):
-    """residual += the force of a full plate with the stress D : (kappa E - known); the least det F, as in `kernels.internal_force`, with its bits."""
+    """Add to residual (nodes, 2) the force of a full plate with the stress D : (kappa E - known) at the displacements `moved` (nodes, 2).
+
+    rotation: as in `kernels.internal_force`. Returns the bits of the least det F, as an integer, as this does.
+    """
     plates, x = work.scene.plates, work.scene.relaxation
     known, kappa = work.known[x.start[body] : x.start[body] + strains_of(x, body)], 1.0 - work.shares[body]
     return integer_of(kernels.relaxed_force(cells_of(plates, body), material_of(plates, body), moved, known, kappa, residual, rotation))
@@ -94,7 +100,10 @@ def condensed_force(work, body, moved, residual, rotation):
 
 @part
 def add_condensed(work, moved, residual):
-    """residual += the forces of relaxation of the reduced plates at the displacements `moved`."""
+    """Add to residual (nodes, 2) what relaxation adds to the elastic forces of all viscoelastic reduced plates; return DONE.
+
+    moved (nodes, 2): the displacements at the step's end. The change of the strain is -(known + share E), with work.known and work.shares.
+    """
     scene, x, full = work.scene, work.scene.relaxation, work.scene.plates.body_operator.shape[0]
     for b in range(full, x.start.shape[0] - 1):
         if x.terms[b] < x.terms[b + 1]:
@@ -108,7 +117,10 @@ def add_condensed(work, moved, residual):
 
 @part
 def begin_strains(work, rows, numbers):
-    """Fill `known` and the shares of a step from the state (rows of q, v, a, a_alg) at its beginning."""
+    """Overwrite work.known (strains) and work.shares (bodies,) for a step, from the state at its beginning; return DONE.
+
+    rows (5, coordinates): q, v, a, a_alg, change of a. numbers: of the step, TO_A to ALG_OF_END.
+    """
     x, v_of_end = work.scene.relaxation, numbers[TO_V] / numbers[TO_A]
     for b in range(x.start.shape[0] - 1):
         count, at = strains_of(x, b), 2 * x.first + x.start[b]

@@ -324,7 +324,10 @@ def slope_entries(model, q, c_v, c_q):
 
 
 def _strain_slopes(model, b, q):
-    """(B, B^T D) of full plate b at its q, sparse."""
+    """(B, B^T D) of full plate number b at its nodes' displacements q (2 nodes,), both sparse.
+
+    B = dE/dq (3 points, 2 nodes), E at the points; D the moduli times weights of the points, so that B^T D e is the force of a strain e.
+    """
     plates, body = model.arrays.plates, model.bodies[b]
     weights, gradients = body.operator.weights, model.once(gradient_operators, of_shape=True)[body.name]
     point = np.arange(len(weights))
@@ -340,7 +343,10 @@ def _strain_slopes(model, b, q):
 
 
 def _form_slopes(model, body, q):
-    """The slopes of the strains y of a reduced plate, and its viscous strain, as `_strain_slopes` has them of a full plate."""
+    """(B, B^T D) of a reduced plate at its displacements q, both sparse: B = dy/dq (strains, pairs x 2), D its form, (strains, strains).
+
+    body: its number, as in Relaxation, full plates first. The columns of the first pair are zero.
+    """
     from scipy.sparse import csr_array
 
     placed = model.reduced_bodies[body - len(model.bodies)]

@@ -166,9 +166,10 @@ class SceneModel(SceneBodies):
         return other
 
     def mode_like(self, mode, since=None):
-        """The mode of this model with the parts and rows of a mode of a model that is near it, also if its joints do not fit by as much.
+        """The mode of this model with the same acting parts and the same rows as `mode`, a mode of another model that is near this one.
 
-        since: other positions at which joints were added.
+        Rows are taken over, so that they also hold for joints of this model that do not quite fit. since: {name: (1 + n,), t and q} at
+        which joints were added, in place of those of `mode`; by default those.
         """
         other = self._acting(mode.absent, mode.since if since is None else since, mode._assembled[1])
         other.columns = mode.columns

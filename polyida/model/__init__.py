@@ -363,7 +363,7 @@ class Model:
         return [f"gaps[{k}]" for k in range(self.gaps(0.0, np.zeros(self.n)).size)]
 
     def residual(self, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray) -> NDArray:
-        """Return `r = M a + g + phi_q^T lam`, (n,)."""
+        """Return the residual `r = M a + g + phi_q^T lam`, (n,), g = force(t, q, v): the equations of motion are r = 0."""
         r = self.mass(q) @ a + self.force(t, q, v)
         return r + self.phi_q(t, q).T @ lam if self.m else r
 

@@ -32,14 +32,17 @@ EXCLUDED = ("tangent", "force_q", "force_v", "residual_p", "mass_system", "step_
 
 @part
 def evaluate(function, data, t, places, v, values, outputs, rates):
-    """Fill rates by a C function (jit/user_functions.py); nan if it fails."""
+    """Fill rates (k,), the rates of first-order states and behind them what is zero for algebraic ones, by a C function; nan if it fails.
+
+    function: its address (jit/user_functions.py). data, t, places, v, values, outputs: its arguments; values (k,): all states.
+    """
     if call(function, (data, 0, t, places, v, values, outputs, rates)) != DONE:
         rates[:] = np.nan
 
 
 @part
 def largest(change, values, first, sizes):
-    """Largest of the changes, in sizes, relative to the algebraic states and their sizes."""
+    """The largest `|change_i| sizes_i` over `|s_i| + sizes_i`, s the algebraic states: values from number `first` on."""
     size = 0.0
     for i in range(change.shape[0]):
         size = max(size, abs(change[i]) * sizes[i] / (sizes[i] + abs(values[first + i])))
@@ -48,9 +51,10 @@ def largest(change, values, first, sizes):
 
 @part
 def fill_slope(asked, values, first, sizes, rates, behind, slope):
-    """slope (count, count) = the derivatives of the last rates in the algebraic states, in their sizes, by central differences.
+    """slope (count, count) = the derivatives of the last rates in the algebraic states over their sizes, by central differences.
 
-    asked: the C function and its arguments before `values`, as of `fill_algebraic`.
+    asked: (function, data, t, places, v, outputs) of `evaluate`. The algebraic states are those of `values` from number `first` on;
+    `values` is unchanged afterwards. rates and behind are scratch.
     """
     function, data, t, places, v, outputs = asked
     for j in range(sizes.shape[0]):
@@ -66,7 +70,10 @@ def fill_slope(asked, values, first, sizes, rates, behind, slope):
 
 @part
 def factor_rows(slope, left, rows, pivots, change):
-    """Factor the slope, its rows divided by their largest entries `rows`, and set change = -slope^-1 left. False if it is singular."""
+    """Factor slope (k, k) in place and set change (k,) = -slope^-1 left. False if it is singular.
+
+    rows (k,) is filled with the largest entry of each row, by which the row is divided; pivots (k,) with the exchanged rows.
+    """
     for i in range(left.shape[0]):
         rows[i] = 0.0
         for j in range(left.shape[0]):
@@ -85,10 +92,11 @@ def factor_rows(slope, left, rows, pivots, change):
 
 @shared
 def fill_algebraic(function, data, t, places, v, outputs, values, first, sizes, rates):
-    """Fill the algebraic states of `values`, from number `first` on, and the rates: Newton's method with shorter steps where corrections do not fall.
+    """Solve for the algebraic states s, the last of `values` from number `first` on, and fill the rates; return FOUND, FLAT or LOST.
 
-    function, data, t, places, v, outputs: a C function of the rates, and its arguments beside `values` and rates. sizes: typical sizes of the
-    algebraic states; `values` holds a guess of them. Returns how it ended.
+    Newton's method starts from the guess in `values` and overwrites it, with shorter steps where corrections do not fall. The equations are
+    `rates[first:] = 0`. FLAT: their slope is singular; LOST: no convergence. function, data, t, places, v, outputs: as of `evaluate`.
+    sizes (count,): typical sizes of s.
     """
     count, behind = sizes.shape[0], np.zeros_like(rates)
     free, slope, pivots = values[first : first + count], np.empty((count, count)), np.empty(count, np.int64)
@@ -170,7 +178,10 @@ HELPERS = ("with_algebraic", with_algebraic), ("states_at", states_at), ("fill_s
 
 
 def solved(f, s, sizes):
-    """(the s, (k,), with f(s) = 0, "") or (nan, why there is none), of a Python function f (k,) -> (k,). s: the guess; sizes (k,)."""
+    """(the s (k,) with f(s) = 0, "") or (nan (k,), the reason as a text), of a Python function f (k,) -> (k,).
+
+    s (k,): the guess, which stays as it is; sizes (k,): typical sizes of the entries of s. What f raises is raised again.
+    """
     s, raised, vector = np.array(s, float), [], ctypes.c_double * len(s)
 
     def called(*arguments):

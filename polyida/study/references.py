@@ -211,7 +211,10 @@ class _StepForces:
         self.seed = k
 
     def deviation(self, count):
-        """(largest force, largest deviation from the cubic), at a random time in each of `count` parts."""
+        """(largest force, largest deviation of a force from the cubic through Radau's stages of the step), two floats over all entries.
+
+        Forces are sampled at a random time, with a fixed seed, in each of `count` equal parts of the step.
+        """
         s = (np.arange(count) + np.random.default_rng(self.seed).random(count)) / count
         coefficients = CUBIC @ self.forces(STAGES)
         values = self.forces(s)
