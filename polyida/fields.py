@@ -53,7 +53,7 @@ def none_or(good: Callable[[Any], bool]) -> Callable[[Any], bool]:
 
 
 def optional(label, name, value, function, *limits):
-    """Return None for None, else the value checked by a function and its limits."""
+    """Return None for a value None, else the checked value `function(label, name, value, *limits)`, which may raise InputError."""
     return None if value is None else function(label, name, value, *limits)
 
 

@@ -34,7 +34,7 @@ def baseline(curve, derivative):
 
 
 def ends(curve):
-    """((value, rate) at the begin, (value, rate) at the end) of a piecewise polynomial."""
+    """((value, derivative) at the begin, (value, derivative) at the end) of a scalar piecewise polynomial, as floats."""
     rate = curve.derivative()
     return tuple((float(curve(t)), float(rate(t))) for t in (curve.x[0], curve.x[-1]))
 

@@ -243,7 +243,7 @@ class Trajectory:
         return guard(self.model)
 
     def position(self, name: object) -> NDArray:
-        """Return the path of a point.
+        """Return the path of a point: its place in every frame.
 
         Parameters
         ----------
@@ -253,7 +253,7 @@ class Trajectory:
         Returns
         -------
         (frames, 2) float, m
-            Its places.
+            Its places in the coordinates of the scene, not its displacements.
 
         Raises
         ------
@@ -435,7 +435,7 @@ class Trajectory:
         return np.asarray(self.q[frame], float)
 
     def _scene(self, what):
-        """The model of the run if it is a scene's. Raises InputError otherwise; what: the method that asks."""
+        """Return `self.model` if it is the model of a scene, else raise InputError; what: name of the method that asks, for the message."""
         if not self.known_model(what).is_scene:
             raise InputError(f"{what}: {type(self.model).__name__} is no scene's model; read q")
         return self.model
@@ -467,7 +467,7 @@ class Trajectory:
         return f"<Trajectory: {self._headline()}>"
 
     def _headline(self):
-        """Status, integrator, times and sizes of the run in one line."""
+        """A line of text: status, integrator, first and last time, number of frames and steps, n and m."""
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         end = f"t = {self.t[0]:.6g} to {self.t[-1]:.6g} s" if len(self) else "no frame"
         n, m = (np.shape(x)[-1] for x in (self.q, self.lam))

@@ -173,8 +173,10 @@ class AlphaAdjoint(RunAdjoint):
         return slopes
 
     def _segment_start(self, segment, adjoints):
-        """Yield (AdjointState, adjoint of lam, entries for parameters) of the state before a segment's start procedure; adjoints: of the
-        state after it, for each objective.
+        """Yield (AdjointState, adjoint of lam (m,), entries for parameters) of the state before a segment's start, one per objective.
+
+        The start procedure gives consistent accelerations and a_alg. adjoints: for each objective the adjoints of q, v, a and a_alg after
+        it, (n,) each.
         """
         state, tape = stored_state(self.history, segment.first), Tape()
         taped = TapedModel(self.model, tape)

@@ -201,7 +201,7 @@ class ErrorBars:
 
 
 def _number(error):
-    """An error as text; a dash for none."""
+    """An error as text with sign and four digits, such as "+1.235e-03"; "-" for None."""
     return "-" if error is None else f"{error:+.3e}"
 
 
@@ -277,7 +277,11 @@ def error_of(
 
 
 def _without_estimate(run, objective, again):
-    """The ErrorBars of a run of an integrator without an estimate by an adjoint. Raises InputError unless it is solved again."""
+    """ErrorBars with J of a run alone, of an integrator that has no adjoint; their reasons say why `newton` and `mesh` are missing.
+
+    again: True if the run is solved again later, which gives the error of time. Raises InputError if it is False, and for a run without
+    steps or that failed.
+    """
     name = type(run.integrator).__name__
     if not again:
         raise InputError(f"error_of: {name} has no estimate by an adjoint; give again=True, which solves the run again")

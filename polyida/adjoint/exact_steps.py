@@ -71,7 +71,7 @@ class ExactSteps(PythonTable, AdjointTable):
         return kron(csr_array(factors), eye_array(self.model.n), format="csr")
 
     def scale(self, h):
-        """Set the step h, s, and with it the matrices of the method, `to_v / h` and `to_a / h^2`."""
+        """Take the step h, s: set `to_v` and `to_a` to the method's matrices of h = 1 over h and over h^2."""
         to_v, to_a = self.of_h
         self.to_v, self.to_a = to_v / h, to_a / h**2
 
@@ -93,9 +93,10 @@ class ExactSteps(PythonTable, AdjointTable):
             w[:, c], multipliers[:, :, c], products[:, :, c] = self._column(k, c, right[:, c], below[:, c], b_v[c])
 
     def factor_at(self, t, q, v, a, lam, mu):
-        """Factor the matrix of a step at its stages, (s, .) each. Raises SingularSystem.
+        """Evaluate and factor the matrix of all rows of a step, `self.matrix`, at its stages, as `self.lu`. Raises SingularSystem.
 
-        r and lam are measured in the size of `K + to_a M`, mu and phi' in that of to_v.
+        t (s,), q, v, a (s, n), lam, mu (s, m): the stages. For scaling, r and lam are measured in the typical size of `K + to_a M`, with
+        to_a of the last stage, phi' in |to_v| of it and mu in 1/|to_v|. It counts as a factorization.
         """
         self._evaluate(t, q, v, a, lam)
         s, R = self.stages, self._of_rates(self.to_v.T)

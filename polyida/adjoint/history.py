@@ -76,7 +76,7 @@ class StepRecorder:
     """
 
     def __init__(self, state, limits, first=0):
-        """Begin at a state with the number `first`, without segments."""
+        """Begin with one State, of the number `first` among the run's states, and without segments; limits: the HistoryLimits of memory."""
         self.limits, self.first = limits, first
         self.times = [state.t]
         self.segments = []

@@ -193,7 +193,7 @@ def of_all_parts(change):
 
 
 def with_field(part, path, value):
-    """A copy of the part with another value in a field; path: names of nested fields, outermost first."""
+    """A copy of a dataclass, part, with `value` in the field at `path`: names of nested dataclass fields, outermost first, one at least."""
     key, *inner = path
     return replace(part, **{key: with_field(getattr(part, key), inner, value) if inner else value})
 

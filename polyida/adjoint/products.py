@@ -107,9 +107,11 @@ def few_products(bodies, blocks, field, out):
 
 @shared
 def body_products(scene, viscosity, displacements, velocities, columns, fields, rotation, results):
-    """Fill results with the parts of the bodies.
+    """Overwrite results.stiff, slowing and heavy (columns, nodes, 2) with the parts of the bodies in K^T w, C^T w and M w.
 
-    columns: those of results.stiff and results.slowing, and those of results.heavy; rotation: results.rotation, or (0, 2) if it is known.
+    scene: the arrays of the model; viscosity (plates,), s; displacements, velocities (nodes, 2): the state; fields (columns, nodes, 2): the
+    w. columns: (numbers of the columns of stiff and slowing to be filled, numbers of those of heavy). rotation: results.rotation, which is
+    filled with the rotations of the nodes, or an array (0, 2) if it is known.
     """
     which, moving = columns
     clear(rotation)
@@ -135,7 +137,10 @@ def body_products(scene, viscosity, displacements, velocities, columns, fields, 
 
 @part
 def plate_products(plates, viscosity, displacements, velocities, columns, fields, rotation, results):
-    """Add the parts of the plates; the arguments are those of `body_products`."""
+    """Add the parts of the plates in K^T w, C^T w, M w and the rotations to results.stiff, slowing, heavy and rotation.
+
+    plates: Plates of the scene; the other arguments as of `body_products`.
+    """
     which, moving = columns
     for b in range(plates.body_operator.shape[0]):
         o, n0 = plates.body_operator[b], plates.body_node[b]
@@ -163,7 +168,7 @@ def plate_products(plates, viscosity, displacements, velocities, columns, fields
 
 @part
 def point_products(links, slopes, column, field, mu, results):
-    """Add the parts of point masses, rows and force elements to a column; its results.rows = B w.
+    """Add the parts of point masses, rows and force elements to a column of results.stiff, heavy and slowing; its results.rows = B w.
 
     slopes: phi_z; field w (nodes, 2), mu (m,): of the column.
     """
@@ -184,7 +189,7 @@ def point_products(links, slopes, column, field, mu, results):
 
 @part
 def pull_back(coupling, blocks, wz, forces):
-    """forces = the transposed blocks of the coupling times wz."""
+    """Overwrite forces (points, 2) with the transposed blocks (., 2, 2) of the coupling times wz (points, 2)."""
     for p in range(forces.shape[0]):
         forces[p, 0] = forces[p, 1] = 0.0
         for k in range(coupling.start[p], coupling.start[p + 1]):

@@ -30,7 +30,7 @@ class AdjointTable:
         return self
 
     def scale(self, h):
-        """Set the step h; matrices of the method were given for h = 1."""
+        """Take the step h, s, for all solves that follow; the method's matrices were given for h = 1. This one does nothing."""
 
     def refresh(self, k):
         """Make sure that there is a factor; True if it was made for state k. Raises SingularSystem."""

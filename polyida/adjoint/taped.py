@@ -18,7 +18,7 @@ class Tape:
     """Records of operations in order; `back` processes them in reverse."""
 
     def __init__(self):
-        """Begin without records, which are pairs (results, function back)."""
+        """Make an empty tape, `records` = []; each record of an operation will be the pair (results, function back)."""
         self.records = []
 
     def var(self, value):
@@ -165,7 +165,7 @@ class TapedModel:
         """The force g, (n,), on the tape; its derivatives are force_q and force_v."""
 
         def back(adjoint):
-            """Add the products of the forces' derivatives with w = the adjoint of g."""
+            """Add the transposed derivatives of g times its adjoint (n,) to the adjoints of q and v, and it to `entries`."""
             at = t, value_of(q), value_of(v)
             add_to(q, residual_q(self.model, *at, *self._none, adjoint))
             if self.needs.velocity_forces:
@@ -178,7 +178,10 @@ class TapedModel:
         """The rate of the constraints, `phi_q v + phi_t`, (m,)."""
 
         def back(kappa):
-            """Add the products of the rate's derivatives with kappa, its adjoint."""
+            """Add the transposed derivatives of the rate times its adjoint kappa (m,) to the adjoints of q and v.
+
+            kappa is added to the entries for parameters.
+            """
             at = t, value_of(q)
             add_to(q, self.model.phi_rate_q(*at, value_of(v)).T @ kappa)
             add_to(v, self.model.phi_q(*at).T @ kappa)
@@ -191,10 +194,13 @@ class TapedModel:
         return self.phi_rate(t, q, self._none[0])
 
     def phi_bias(self, t, q, v):
-        """(phi_q v)_q v + 2 phi_qt v + phi_tt."""
+        """The part of phi'' without accelerations, `(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,), on the tape."""
 
         def back(nu):
-            """Add the products of the bias' derivatives with nu, its adjoint."""
+            """Add the transposed derivatives of the bias times its adjoint nu (m,) to the adjoints of q and v.
+
+            nu is added to the entries for parameters.
+            """
             at = t, value_of(q), value_of(v)
             if self.needs.driven or self.needs.phi_q_varies:
                 add_to(q, self.model.phi_bias_q(*at).T @ nu)

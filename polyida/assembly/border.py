@@ -331,7 +331,11 @@ def fill_responses(border, work, body, first, count):
 
 @part
 def is_accurate(border, work):
-    """True if work.x solves the system of work.matrix up to round-off. False for nan."""
+    """True if work.x solves the system with right side work.right, up to round-off in each row; False for nan.
+
+    work.matrix: the matrix before it is factored, by the fronts of `border`. work.left is overwritten with the matrix times x,
+    work.terms with the sums of the magnitudes of its terms and of work.right.
+    """
     for u in range(work.x.shape[0]):
         work.left[u], work.terms[u] = 0.0, magnitude(work.right[u])
     for f in range(border.size.shape[0]):

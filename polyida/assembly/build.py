@@ -97,7 +97,11 @@ def place_states(parts, bodies, speed, without_strains):
 
 
 def _warn_of_locking(name, plate):
-    """LockingWarning for plane strain, nu near 1/2 and cells with few corners, and for thin plates whose cells bend wrongly."""
+    """Warn, by a LockingWarning with the name of the plate, if its cells bend far too stiffly or too softly.
+
+    Linear cells lock in plane strain with nu near 1/2 if they are Wachspress elements or have few corners. Other plates are judged by the
+    ratio `bending_stiffness`.
+    """
     material, corners = plate.material, len(plate.mesh.nodes) / plate.mesh.n_cells
     if plate.order == 1 and material.plane == "strain" and material.nu > LOCKING and (plate.element == "wachspress" or corners < 4):
         warnings.warn(

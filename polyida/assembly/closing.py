@@ -152,7 +152,11 @@ class Loops:
         return value, slope
 
     def _gaps(self, sides, x):
-        """Gaps of edges and their slopes (rows, 3 bodies), those at zero gaps."""
+        """(phi (rows,), m, slopes (rows, 3 bodies)) of contacts of edges, the FacingEdges sides, at the moves x (bodies, 3) of the bodies.
+
+        A row that faces nothing has the size of the scene as its gap, and the slope 0. The slopes are those at gap zero: the normals are
+        held.
+        """
         moved = [[self._piece(node.x.summands[0], x) for node in side] for side in (sides.first, sides.second)]
         places, slopes = ([np.array([one[k] for one in side]) for side in moved] for k in range(2))
         pairs = [pairs_of(z) for z in places]

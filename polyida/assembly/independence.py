@@ -120,7 +120,11 @@ def fill_rows(pattern, links, drives, times, at, qs, work):
 
 @part
 def fill_band(pattern, left, right, below, work):
-    """The products of unit rows `left` with rows `right` within the band, for each row of left with as many rows before it as `below`."""
+    """Overwrite work.band (m, 2 k + 1) with scalar products of the rows i of `left` with the rows j of `right`, at (i, j - i + k).
+
+    They are made for i - below <= j <= i + k. left, right (entries,): two sets of unit rows of phi_q, stored after the pattern. k: half
+    width of the band. Other entries stay.
+    """
     m, k = work.band.shape[0], work.band.shape[1] // 2
     for i in range(m):
         for e in range(pattern.start[i], pattern.start[i + 1]):

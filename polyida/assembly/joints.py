@@ -63,7 +63,7 @@ def vector_change(links, vector, dz):
 
 @leaf
 def rotated(cos, sin, x, y):
-    """(x, y) rotated by the angle with this cosine and sine."""
+    """The vector (x, y) rotated counter-clockwise by the angle with this cosine and sine, as a tuple of two."""
     return cos * x - sin * y, sin * x + cos * y
 
 

@@ -32,7 +32,10 @@ class OwnForce:
     period = 0.0  # s, of a controller
 
     def __init__(self, name, element, model, functions=None):
-        """Find the pairs and weights of the sides of a force element in a scene's model."""
+        """Take a force element and find where its sides are in a scene's model: rest, A, columns, near, sizes and the places of its states.
+
+        name: of the element in the scene. functions: its PythonFunctions, made here by default.
+        """
         from scipy.sparse import csr_array
 
         self.name, self.element, self.functions = name, element, functions or PythonFunctions(name, element)

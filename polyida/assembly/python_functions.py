@@ -44,7 +44,7 @@ class Calls:
         self._errors[get_ident()] = error
 
     def remember(self, key, result):
-        """Make a result known, in place of older ones."""
+        """Store the result of a callback in `known` under its key; if `known` is full, all older results are dropped first."""
         if len(self.known) >= KNOWN:
             self.known.clear()
         self.known[key] = result

@@ -27,7 +27,7 @@ class Constraints(Model):
     """
 
     def altered(self, without=(), **attributes):
-        """A copy with these attributes in place of its own, without those named in `without`."""
+        """A shallow copy of this object with these attributes in place of its own, and without those whose names are in `without`."""
         other = object.__new__(type(self))
         other.__dict__.update({name: value for name, value in vars(self).items() if name not in without}, **attributes)
         return other
@@ -187,11 +187,11 @@ class Constraints(Model):
         return self._rates_q(t, q, v, 1)
 
     def phi_bias_q(self, t, q, v):
-        """Return the derivative of phi_bias in q, (m, n), by exact differences."""
+        """Return d(phi_bias)/dq, (m, n), at (t, q, v), by central differences, which are exact: phi_bias is quadratic in the points."""
         return self._rates_q(t, q, v, 2)
 
     def phi_bias_v(self, t, q, v):
-        """Return the derivative of phi_bias in v, (m, n), by exact differences."""
+        """Return d(phi_bias)/dv, (m, n), at (t, q, v), by central differences, which are exact: phi_bias is quadratic in the points."""
         return self._rates_q(t, q, v, 2, 0.0, 1.0)
 
     def _rates_q(self, t, q, v, which, of_q=1.0, of_v=0.0):

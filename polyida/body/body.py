@@ -93,7 +93,10 @@ class Body(OwnPart, part=False):
         return np.arange(len(np.atleast_1d(self.coordinates()))) == 0
 
     def elastic(self, z: np.ndarray) -> "ArrayLike":
-        """Return `dW/dRe z + i dW/dIm z`, (pairs,), complex, W the elastic energy. A class without it is a rigid body."""
+        """Return the slopes of the elastic energy W, `dW/dRe z + i dW/dIm z`, (pairs,), complex, at the complex coordinates z (pairs,).
+
+        A class that does not define it is a rigid body.
+        """
         raise NotImplementedError
 
     def elastic_z(self, z: np.ndarray) -> "ArrayLike | None":
@@ -245,7 +248,7 @@ class BodyPoint(Attachment):
 
     @property
     def size(self) -> float:
-        """Largest coordinate of its body in the reference configuration, m."""
+        """Typical size of its body, m: the largest magnitude of a coordinate in the reference configuration."""
         return float(np.abs(coordinates_of(self.body)).max())
 
     def on(self, body: Any) -> "Attachment":
@@ -299,7 +302,10 @@ def points_of(body):
 
 
 def sticks_between(points):
-    """Segments (segments, 2, 2) that draw a body without a mesh: between its points (k, 2), in the order of their angles about the mean."""
+    """Segments (segments, 2 ends, 2) that draw a body without a mesh: a closed polygon through its points (k, 2).
+
+    Two points give one segment. The points are taken in the order of their angles about their mean.
+    """
     angles = np.arctan2(*(points - points.mean(axis=0)).T[::-1]) if len(points) else np.zeros(0)
     points = points[np.argsort(angles)]
     return np.stack([points, np.roll(points, -1, axis=0)], axis=1)[: 1 if len(points) == 2 else None]

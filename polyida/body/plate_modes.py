@@ -35,7 +35,7 @@ class PlateMatrices:
         return self._on_nodes(self.operator.stabilisation * factor) if factor else None
 
     def _on_nodes(self, values):
-        """Values of the pairs of neighbouring nodes as a sparse matrix (N, N), csr."""
+        """The csr matrix (N, N), N nodes, with these values in the pattern of the operator: pairs of nodes of a common cell, row by row."""
         from scipy.sparse import csr_array
 
         return csr_array((values, self.operator.indices, self.operator.indptr), shape=(self.operator.n_nodes,) * 2)
@@ -178,7 +178,10 @@ def form_of_fields(matrices, fields):
 
 
 def _points(operator, fields):
-    """Yield the areas (points,) of integration points and the derivatives of the fields there, (points, 2, K)."""
+    """Yield, for chunks of cells of an operator, (weights (points,), derivatives (points, 2, K)) of their integration points.
+
+    The weights are areas. The derivatives in x and y are of K fields (nodes, K), one column each, real or complex.
+    """
 
     def rows(array, starts, shape):
         """Parts of a flat array from each of `starts` on, reshaped: (starts, *shape)."""

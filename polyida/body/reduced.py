@@ -85,9 +85,11 @@ class Reduced(FieldBody):
         return _InModes(self, attachments, own, stored)
 
     def fields_to_store(self, prepared: Body, like: Body | None = None) -> dict[str, np.ndarray]:
-        """Return {"stored_fields": all fields}: another computer finds eigenvectors with other signs, or rotated if frequencies coincide.
+        """Return {"stored_fields": all deformation fields}, the argument of a plate with the very same fields, as real pairs of each field.
 
-        like: a prepared reduced plate with the same mass matrix; the fields are rotated within their span to be nearest to its fields.
+        Another computer finds eigenvectors with other signs, or rotated if frequencies coincide. prepared: this body, prepared. like: a
+        prepared reduced plate with the same mass matrix and as many modes; the fields are rotated within their span to be nearest to its
+        fields. Raises InputError for another number of modes.
         """
         fields = prepared.shapes()[:, RIGID:]  # type: ignore[attr-defined]
         if like is not None:

@@ -164,7 +164,11 @@ class RigidBody(Body):
         return np.diag([self.mass, self.mass])
 
     def attachments(self) -> "dict[str, ArrayLike]":
-        """Weights of the named points on the pairs (c, z), {name: (1, (X - X_S) / s)}."""
+        """{name: weights [1, (X - X_S) / s]} of the named points on the pairs (c, z), complex.
+
+        X: the point, X_S: the centre of mass, both complex in the axes of the drawing; s: the radius of gyration, m. The place is
+        `x = c + z (X - X_S) / s`.
+        """
         return {name: [1.0, (complex(*at) - complex(*self.center)) / self.gyration] for name, at in self.points.items()}
 
     def x_axis(self) -> list[float]:

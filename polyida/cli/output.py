@@ -43,7 +43,10 @@ def prepare():
 
 
 def _is_backend(name):
-    """False if matplotlib would refuse a name. It is not imported, which takes long."""
+    """True if matplotlib has a backend of that name, or can not be asked; a name that is empty or of a module counts as one.
+
+    Only the file of the backend is looked for: importing matplotlib takes long.
+    """
     if not name or name.startswith("module://") or (found := find_spec("matplotlib")) is None:
         return True
     return (Path(found.origin).parent / "backends" / f"backend_{name.lower()}.py").exists()

@@ -101,7 +101,10 @@ def _parser(program, title, quick, out):
 
 
 def run_script(name, arguments):
-    """Run a study's script as `python studies/NAME.py ...` does. Raises SystemExit if the script does."""
+    """Run the script of a study in this process, as `python studies/NAME.py ARGUMENTS` does; sys.argv and sys.path are restored.
+
+    arguments: list of texts. Raises SystemExit if the script does.
+    """
     script, before = study_scripts()[name], (sys.argv, sys.path)
     program = PROGRAM.set(f"polyida study {name}")
     sys.argv, sys.path = [str(script), *arguments], [str(script.parent), *sys.path]  # its processes inherit them

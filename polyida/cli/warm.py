@@ -104,7 +104,7 @@ def compiled_text(found):
 
 
 def _work(name):
-    """Run the short runs of one name of WORK in this process, without warnings."""
+    """Call the function WORK[name], which makes short runs so that kernels are compiled, in this process and with warnings hidden."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         WORK[name]()

@@ -222,7 +222,7 @@ def threshold(mesh: PolygonMesh, rho: ArrayLike, at: float = 0.5, keep: Iterable
 
 
 def neighbours(mesh):
-    """Cells on both sides of each inner edge, two arrays (edges,)."""
+    """(cells on one side, cells on the other side) of each edge that two cells share, two arrays (edges,) of cell numbers."""
     pairs = np.sort(topology.directed_edges(mesh.nodes, mesh.offsets).astype(np.int64), axis=1) @ [mesh.n_nodes, 1]
     cell = topology.corner_cells(mesh.offsets)[order := np.argsort(pairs, kind="stable")]
     shared = np.flatnonzero(np.diff(pairs[order]) == 0)

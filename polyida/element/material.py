@@ -35,7 +35,7 @@ def add_outer(h, d, g):
 
 @traced(2)
 def add_times(f, p, g):
-    """The vector f + P G of a matrix P and a vector G."""
+    """The vector f + p g of a 2 x 2 matrix p, by rows, and a vector g."""
     return f[0] + p[0] * g[0] + p[1] * g[1], f[1] + p[2] * g[0] + p[3] * g[1]
 
 
@@ -67,7 +67,10 @@ def first_piola(h, weight, lam_bar, two_mu):
 
 @traced(4)
 def relaxing_piola(h, viscous_strain, kappa, weight, lam_bar, two_mu):
-    """weight P = weight F S with the strain kappa E - viscous_strain in S."""
+    """weight F S (xx, xy, yx, yy) with `S = D : (kappa E - viscous_strain)`, E the Green-Lagrange strain of h.
+
+    viscous_strain (xx, xy, yy), as E; `D : e = lam_bar tr(e) I + two_mu e`.
+    """
     return carried(h, second_piola(tuple(kappa * e - p for e, p in zip(strain(h), viscous_strain)), lam_bar * weight, two_mu * weight))
 
 
@@ -133,7 +136,10 @@ def moduli(h, weight, lam_bar, two_mu):
 
 @traced(10)
 def relaxed_moduli(h, viscous_strain, weight, lam_bar, two_mu, change):
-    """weight A of `moduli` with S = -D : viscous_strain, and `change` times D in place of D."""
+    """The ten numbers of `moduli`, times weight, with the stress S = -D : viscous_strain and `change` times lam_bar and two_mu.
+
+    Of the stress itself lam_bar and two_mu are not changed. viscous_strain: (xx, xy, yy).
+    """
     lam_bar, two_mu = lam_bar * weight, two_mu * weight
     return moduli_of_stress(h, second_piola(viscous_strain, -1.0 * lam_bar, -1.0 * two_mu), change * lam_bar, change * two_mu)
 
@@ -188,7 +194,7 @@ def add_stiffness(k, g, t):
 
 @traced(4)
 def transposed(k):
-    """Transpose of a 2 x 2 matrix."""
+    """Transpose of a 2 x 2 matrix k, a tuple by rows."""
     return k[0], k[2], k[1], k[3]
 
 
@@ -235,7 +241,7 @@ def advanced(h, d, ahead):
 
 
 def two_state_strain(h, d, rate, square):
-    """E(F) + rate sym(F^T d) + square d^T d / 2."""
+    """The strain E(F) + rate sym(F^T d) + square d^T d / 2, (xx, xy, yy), F = I + H; h and d by rows."""
     e11, e12, e22 = strain(h)
     f11, f12, f21, f22 = 1.0 + h[0], h[1], h[2], 1.0 + h[3]
     half, shear = 0.5 * square, 0.5 * rate
@@ -248,7 +254,10 @@ def two_state_strain(h, d, rate, square):
 
 @traced(4)
 def two_state_piola(h, d, weight, lam_bar, two_mu, rate, square):
-    """weight P = weight F S."""
+    """weight F S (xx, xy, yx, yy) with `S = D : (E(F) + rate sym(F^T d) + square d^T d / 2)` of the state H = h and the direction d.
+
+    h, d: by rows, F = I + H; `D : e = lam_bar tr(e) I + two_mu e`.
+    """
     return carried(h, second_piola(two_state_strain(h, d, rate, square), lam_bar * weight, two_mu * weight))
 
 

@@ -90,7 +90,7 @@ def _along_sides(nodes):
 
 
 def _moments(nodes):
-    """int (1, x, y, xx, xy, yy) over the cells, (6, c)."""
+    """int (1, x, y, xx, xy, yy) over the area of each cell with these nodes (2n, 2, c), (6, c)."""
     x, dx = _along_sides(nodes)
     return np.einsum("gnkc,gnc->kc", _monomials(x), cross(x, dx)) / np.array([2.0, 3.0, 3.0, 4.0, 4.0, 4.0])[:, None]
 
@@ -102,7 +102,11 @@ def _monomials(points):
 
 
 def _with_unit_moments(corners):
-    """(nodes (2n, 2, c) in coordinates with unit second moments about the centroid, areas (c,), their slopes in x and y (c, 2, 2))."""
+    """(nodes, areas (c,), slopes) of c cells in coordinates about the centroid, in which the second moments over the area are unit ones.
+
+    corners (2n, 2, c): all nodes of the cells in x and y, corner, middle, corner, ... nodes (2n, 2, c): the same in the new coordinates.
+    slopes (c, 2, 2): derivatives of the new coordinates (rows) in x and y (columns).
+    """
     nodes = corners - corners[::2].mean(axis=0)
     area, *first = _moments(nodes)[:3]
     nodes = nodes - first / area
@@ -147,7 +151,11 @@ def _rule(nodes, cells):
 
 
 def _with_unit_places(shapes, weights, straight, points, slopes):
-    """The Rule with straight coordinates moved, turned and stretched to unit second moments over the curved cell."""
+    """The Rule with straight coordinates moved and linearly mapped so that they have unit second moments over the curved cell.
+
+    shapes, weights: as of Rule; straight (2n, 2, c), points (p, 2, c): straight coordinates of the nodes and of the points; slopes
+    (p, 2, 2, c): their derivatives in x and y at the points.
+    """
     area = weights.sum(axis=0)
     centre = np.einsum("pc,pdc->dc", weights, points) / area
     offset = points - centre

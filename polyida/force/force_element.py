@@ -150,7 +150,7 @@ def require_element(element):
 
 
 def profiles_of(part):
-    """Return the profiles in a part's fields, single ones and those in tuples."""
+    """Return a list of the Profiles in the dataclass fields of a part, in their order: single ones and those in a tuple."""
     values = (getattr(part, field.name) for field in fields(part) if field.init)
     return [one for value in values for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, Profile)]
 

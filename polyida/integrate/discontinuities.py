@@ -95,7 +95,11 @@ def number_of_steps(model, state, begin, end, h):
 
 
 def _is_curved(function, begin, end, least=0.0):
-    """True if a function of t deviates from its chord by STRAIGHT of its size, which is `least` or more."""
+    """True if a function of t deviates between begin and end from the chord through its ends by more than STRAIGHT of its size.
+
+    Its values are arrays. It is sampled at the places INSIDE. The size is the largest entry of the values at the ends and of the sample, at
+    least `least`.
+    """
     near = 1e-9 * (end - begin)
     first, last = function(begin + near), function(end - near)
     for s in INSIDE:

@@ -118,7 +118,7 @@ class Stretch:
         return Stretch(self.t[at], self.q[at], self.v[at], self.a[at], self.lam[at], self.last if whole else None)
 
     def computed(self):
-        """What keeps the vectors that are computed when they are first read, while it is held; None if all are here."""
+        """An object that keeps vectors computed at their first reading as long as it is held, so that none is computed twice; None here."""
 
     def finite(self):
         """True if q, v and lam are finite."""
@@ -133,7 +133,10 @@ class Alone(Stretch):
         self._last = state
 
     def __getattr__(self, name):
-        """t, q, v, a or lam of the State with a first axis of length 1."""
+        """t (1,), q, v, a (1, n) or lam (1, m): the attribute `name` of the only State, with a first axis of length 1.
+
+        It is called for attributes that are not stored; another name raises AttributeError.
+        """
         if name not in ("t", "q", "v", "a", "lam"):
             raise AttributeError(name)
         return np.asarray(getattr(self._last, name))[None]

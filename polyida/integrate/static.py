@@ -53,7 +53,7 @@ class Equilibrium(State):
 
     @property
     def stable(self) -> bool | None:
-        """True if the energy has a minimum here, False if it falls in some direction, None if that is unknown."""
+        """True if the potential energy has a minimum here on phi = 0, False if it falls in some direction, None if that is unknown."""
         return None if self.falling is None else self.falling == 0
 
     def summary(self) -> str:

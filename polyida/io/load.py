@@ -93,7 +93,7 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
 
 
 def settings_used(stored, integrator):
-    """{setting: value} as the run used them: those of the integrator, and what the file says of them."""
+    """{setting: value} that the run used: fields of the integrator, replaced by what the file records; the latter alone if it is a name."""
     used = {name: tuple(value) if isinstance(value, list) else value for name, value in stored.record.get("settings_used", {}).items()}
     return used if isinstance(integrator, str) else settings_of(integrator) | used
 
@@ -116,7 +116,11 @@ def _model(stored):
 
 
 def _given(stored, model, events):
-    """The model that the user gives. Raises InputError unless it can be that of the run."""
+    """Return the model that the user gives for a stored run; raise InputError unless its n and m are those of the frames.
+
+    stored: the open file. events: the events of the run. A user's model may have fewer rows if events change models; it is then set in
+    events.
+    """
     known = guard(model, "load")
     if max((one.model for one in events), default=0):
         raise InputError("events of the run change to other models, which no file holds; load it without model=")

@@ -38,7 +38,7 @@ class _Listener(event.Listener):
     """Calls functions when numba begins and ends a kind of work."""
 
     def __init__(self, begin, end):
-        """Take two functions of an event of numba, for the begin and the end of the work."""
+        """Store two functions (event), called when numba begins and when it ends a kind of work."""
         self.begin, self.end = begin, end
 
     def on_start(self, event):

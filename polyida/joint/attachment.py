@@ -99,7 +99,7 @@ class Attachment:
 
     @property
     def direction(self) -> np.ndarray | None:
-        """Reference direction, (2,), unit vector, or None."""
+        """The direction of the attachment in the reference configuration, (2,), a unit vector, or None if it has none."""
         return None if self.turn_weights is None else self.turn_weights @ _from_first(self.body, self.nodes)
 
     @property
@@ -247,7 +247,7 @@ def require_places(part, *sides):
 
 
 def require_directions(part, *sides):
-    """Raise InputError for a side without a direction."""
+    """Raise InputError if one of the sides has no direction; part: name of the joint or force, in the message; it may be empty."""
     for side in sides:
         if not side.has_direction:
             raise InputError(f"{part}{': ' * bool(part)}{side!r} has no direction; {side.advice}")

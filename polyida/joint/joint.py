@@ -55,7 +55,7 @@ class Joint(OwnPart, part=False):
     directed: ClassVar[tuple[str, ...]] = ()  # the sides, "a" and "b", that must have a direction
 
     def __post_init__(self):
-        """Check the sides and the fields of a joint."""
+        """Check both sides, their directions if the joint needs them, and the fields, set to the checked values. Raises InputError."""
         require_sides(self.label, self.a, self.b)
         if self.directed:
             self.require_directions(*(getattr(self, side) for side in self.directed))

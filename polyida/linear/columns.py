@@ -33,7 +33,11 @@ def folded(x):
 
 @traced(6, columns)
 def forward_rows(x, y, a1, a2, a3, b2, b3, c3):
-    """Four rows of U^-T, each written to both rows of a node, and the two nodes that they make."""
+    """(p, q, r, s, x, y): the four rows of two nodes after the forward solve with U^T, and the new nodes x and y.
+
+    p, q, r and s stand in both rows of a vector each. a1, ..., c3: entries of U above its unit diagonal in its rows a, b, c, for the rows
+    of the two nodes.
+    """
     p, r = first_row(x), first_row(y)
     q = second_row(x) - a1 * p
     r = r - a2 * p - b2 * q
@@ -43,13 +47,13 @@ def forward_rows(x, y, a1, a2, a3, b2, b3, c3):
 
 @traced(1, columns)
 def less_four(x, a, b, c, d, p, q, r, fronts):
-    """x less four rows of U."""
+    """The node `x - (a p + b q + c r + d fronts)`: entries of four rows of U times the solved rows p, q, r and, as the fourth, `fronts`."""
     return x - (a * p + b * q + c * r + d * fronts)
 
 
 @traced(3, columns)
 def forward_two_rows(x, a1):
-    """Two rows of U^-T, each written to both rows of a node, and the node that they make."""
+    """(p, q, x): the two rows of a node after the forward solve with U^T, in both rows of a vector each, and the new x; a1: of U."""
     p = first_row(x)
     q = second_row(x) - a1 * p
     return p, q, joined(p, q)
@@ -57,25 +61,28 @@ def forward_two_rows(x, a1):
 
 @traced(1, columns)
 def less_two(x, a, b, p, q):
-    """x less two rows of U."""
+    """The node `x - (a p + b q)`: entries a and b of two rows of U times the solved rows p and q."""
     return x - (a * p + b * q)
 
 
 @traced(4, columns)
 def products_of_four(sums, x, a, b, c, d):
-    """Sums over four rows of U times x."""
+    """The four sums, each plus an entry of U times x: `sums[0] + a x` to `sums[3] + d x`, as a new tuple."""
     return tuple(total + row * x for total, row in zip(sums, (a, b, c, d)))
 
 
 @traced(2, columns)
 def products_of_two(sums, x, a, b):
-    """Sums over two rows of U times x."""
+    """(sums[0] + a x, sums[1] + b x): two sums with the next entries a and b of two rows of U times x."""
     return sums[0] + a * x, sums[1] + b * x
 
 
 @traced(2, columns)
 def backward_rows(x, y, sums, a0, b1, c2, d3, a1, a2, a3, b2, b3, c3):
-    """The two nodes of four rows of U^-1 D^-1, less the sums over the other places."""
+    """The two nodes (x, y) after the backward solve with U, from their old values times D^-1 less the sums over the places behind them.
+
+    a0, b1, c2, d3: of D^-1; a1, ..., c3: entries of U above its diagonal; sums: four, of `products_of_four`.
+    """
     p, q, r, s = (folded(total) for total in sums)
     s = second_row(y) * d3 - s
     r = first_row(y) * c2 - r - c3 * s
@@ -86,7 +93,7 @@ def backward_rows(x, y, sums, a0, b1, c2, d3, a1, a2, a3, b2, b3, c3):
 
 @traced(1, columns)
 def backward_two_rows(x, sums, a0, b1, a1):
-    """The node of two rows of U^-1 D^-1, less the sums."""
+    """The node x after the backward solve with U: its old value times D^-1 (a0, b1), less the sums of `products_of_two`; a1: of U."""
     p, q = (folded(total) for total in sums)
     q = second_row(x) * b1 - q
     p = first_row(x) * a0 - p - a1 * q

@@ -82,7 +82,7 @@ def zero(vector):
 
 @part
 def clear(matrix):
-    """Set every entry of a matrix to 0."""
+    """Set every entry of a matrix (rows, columns) to 0, in place."""
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
             matrix[i, j] = 0.0

@@ -128,7 +128,10 @@ def _own(e):
 
 
 def _places(e, fronts, unknowns):
-    """The place of each unknown in a front that has it."""
+    """The place (k,) of unknown number unknowns[i] among the unknowns of front number fronts[i], both (k,); it must be there.
+
+    e: the pattern of the elimination.
+    """
     count = len(e.diagonal)
     keys = np.repeat(np.arange(len(e.size)), e.size) * count + e.unknowns
     order = np.argsort(keys)

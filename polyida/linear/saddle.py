@@ -240,7 +240,7 @@ class Border:
     """
 
     def __init__(self, X):
-        """Take X = S^-1 C, (n, k); the rows come with each solve."""
+        """Store X = S^-1 C, (n, k), of the k columns C beside S; the rows R and the corner D come with each `solve`."""
         self.X, self.rows, self.lu = X, None, None
 
     def solve(self, y, rows, below, corner=0.0):

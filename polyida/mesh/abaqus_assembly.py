@@ -47,7 +47,10 @@ class Assembly:
         return named
 
     def find(self, target, what):
-        """Nodes of a number, a set, or of those of an instance as 'A-1.7' or 'A-1.Root'; None if there are none."""
+        """Node numbers, counted from 0 over all instances, of a node number or a set, also one of an instance, 'A-1.7' or 'A-1.Root'.
+
+        None for a reference point or what has no nodes. Raises InputError, which begins with `what`, for a name that two instances have.
+        """
         target = str(target).strip('"')
         if target.upper() in self.sets:
             return list(self.sets[target.upper()][1])

@@ -158,7 +158,10 @@ def main_directions(along):
 
 
 def first_crossing(start, end, after):
-    """Return the first pair (i, j) of segments that meet and do not follow each other, or None. after (n,): the next segment of each."""
+    """Return the lowest pair (i, j), i < j, of segments that meet or touch and do not follow each other, or None.
+
+    start, end (n, 2): the ends of the segments. after (n,): number of the segment that follows each.
+    """
     turn = main_directions(end - start)
     a, b = start @ turn, end @ turn
     found = None

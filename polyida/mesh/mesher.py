@@ -224,12 +224,14 @@ def quads(length: float, height: float, nx: int, ny: int, origin: "ArrayLike" = 
 
 @named_keywords
 def triangles(length: float, height: float, nx: int, ny: int, origin: "ArrayLike" = (0.0, 0.0), order: int = 1) -> PolygonMesh:
-    """Return the rectangles of `quads`, each cut into two triangles by alternating diagonals.
+    """Return a mesh of a rectangle, 0 <= x <= length, |y| <= height/2: nx by ny equal ones, each cut into two triangles.
+
+    The diagonals alternate.
 
     Parameters
     ----------
     length, height, nx, ny, origin, order
-        As of `quads`.
+        As of `quads`: length and height, m, numbers of rectangles along x and y, translation (2,), m, order 1 or 2 of the cells.
 
     Returns
     -------

@@ -57,7 +57,7 @@ def writer(kind):
     """Return a function write(mesh, path) for one of meshio's formats, with sections as masks on the points."""
 
     def write(mesh, path):
-        """Write points, cells and a mask of each section through meshio."""
+        """Write a mesh with its points (z = 0), cells and a mask (1 or 0 at each node) of each section to a file through meshio."""
         names = {3: "triangle", 4: "quad"}
         blocks = [(names.get(cells.shape[1], "polygon"), cells) for cells in runs(mesh)]
         masks = {PREFIX + quote(name, safe=""): np.isin(np.arange(mesh.n_nodes), nodes) * 1.0 for name, nodes in mesh.sections.items()}
@@ -102,7 +102,10 @@ def _silent_meshio():
 
 
 def _require_sane(content, kind):
-    """Raise InputError for counts and numbers of nodes in a file that would take all memory; vtu and obj have none."""
+    """Raise InputError if a count or node number in a file is larger than the file's size and MOST: reading it would take all memory.
+
+    content: the bytes of the file. kind: its format; only gmsh, vtk and medit have such numbers.
+    """
     if kind not in ("gmsh", "vtk", "medit"):
         return
     most = max(MOST, len(content))

@@ -115,7 +115,11 @@ def repaired(raw, tolerance, scale=1.0, numbered=True):
 
 
 def _arrays(raw, notes):
-    """(points (n, 2), corners of all cells, offsets, middles (k, 3)) of a RawMesh, counted from 0. Raises InputError for wrong ones."""
+    """(points (n, 2), corners of all cells (corners,), offsets (cells + 1,), middles (k, 3)) of a RawMesh, its nodes counted from 0.
+
+    Corners of cell i are those from offsets[i] to offsets[i + 1]. notes: a list, to which notes for the user are appended. Raises
+    InputError for wrong points, cells, or numbers out of range.
+    """
     nodes, offsets = _joined(raw.cells)
     points = np.asarray(raw.points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3):

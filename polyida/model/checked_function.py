@@ -61,7 +61,7 @@ class CheckedFunction:
 
 
 def require_array(label, result, shape):
-    """Raise InputError unless a result is an array of real numbers of a shape."""
+    """Raise InputError unless result is an array of exactly this shape with real or whole numbers; label: the function, in the message."""
     part = f"{label} must return an array of shape {shape}"
     if getattr(result, "shape", None) != shape:
         raise InputError(f"{part}, not {getattr(result, 'shape', None) or f'another type, {type(result).__name__}'}")

@@ -74,7 +74,11 @@ def require_written(model):
 
 
 def blame(model, t, state):
-    """The user's functions that returned what is not finite, when last called or around t at the state or ahead of it, in words."""
+    """A text that names the user's functions whose last result was not finite or that do so near a State, with the time; "" if none does.
+
+    All functions are called at times around t, with q of the state and with q moved on by v to that time. An exception that they raise
+    is returned as text for small compiled models, and ignored for others.
+    """
     if model.compiled and not model.own_forces or model.not_finite:
         return model.not_finite
     for at, ahead in product(t + REACH, (0.0, 1.0)):
@@ -352,7 +356,7 @@ class Equations(Model):
 
     @property
     def not_finite(self):
-        """The functions that last returned what is not finite for finite arguments, in words; or ""."""
+        """A text that names the functions whose last result was not finite for finite arguments, or unsolved algebraic states; else ""."""
         if self.own_states and self.own_states.why:
             return f"the algebraic states of {self.name} have no solution: {self.own_states.why}"
         bad = [function.label for function in self.checked_functions.values() if not function.is_finite]

@@ -250,7 +250,7 @@ class Slipping:
         return self.forces_of_all(lam)
 
     def forces_of_all(self, lam):
-        """lam of all rows of `origin`, (..., m)."""
+        """lam of all rows of `origin`, (..., m), from lam of its equations; friction that slips has its force, other rows are zero."""
         result = np.zeros((*np.shape(lam)[:-1], self.origin.m))
         result[..., self.columns] = lam
         pressures = np.where(self.on_contact, -(result @ self.presses), np.sqrt(result**2 @ self.presses))
@@ -325,7 +325,7 @@ class Slips(Slipping, WithRows):
     """A model of which only some rows of phi are equations, and in which rows of friction slip."""
 
     def __init__(self, whole, rows, slips):
-        """Take the whole model, the numbers of the rows that are equations, and the (RowLaw, sign of its rate) of each slip."""
+        """Take the model with all rows, the numbers of its equations, and (its RowLaw, sign of its rate) of each friction that slips."""
         super().__init__(whole, rows)
         self.use_slips(whole, slips)
 

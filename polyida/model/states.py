@@ -37,7 +37,10 @@ EXCLUDED = ("tangent", "force_q", "force_v", "residual_p", "mass_system", "step_
 
 @part
 def evaluate(function, data, t, places, v, values, outputs, rates):
-    """Fill rates by a C function (jit/user_functions.py); nan if it fails."""
+    """Fill rates (k,), the rates of first-order states and behind them what is zero for algebraic ones, by a C function; nan if it fails.
+
+    function: its address (jit/user_functions.py). data, t, places, v, values, outputs: its arguments; values (k,): all states.
+    """
     if call(function, (data, 0, t, places, v, values, outputs, rates)) != DONE:
         rates[:] = np.nan
 
@@ -56,9 +59,10 @@ def relative_size(change, values, first, sizes):
 
 @part
 def fill_slope(asked, values, first, sizes, rates, behind, slope):
-    """slope (count, count) = the derivatives of the last rates in the algebraic states, in their sizes, by central differences.
+    """slope (count, count) = the derivatives of the last rates in the algebraic states over their sizes, by central differences.
 
-    asked: the C function and its arguments before `values`, as of `fill_algebraic`.
+    asked: (function, data, t, places, v, outputs) of `evaluate`. The algebraic states are those of `values` from number `first` on;
+    `values` is unchanged afterwards. rates and behind are scratch.
     """
     function, data, t, places, v, outputs = asked
     for j in range(sizes.shape[0]):

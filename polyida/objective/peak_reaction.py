@@ -72,11 +72,14 @@ class PeakReaction(TimeMean):
         return name, model.rows[name], chosen
 
     def _evaluator(self, model, span):
-        """The function of Frames that gives |R| of the joint and the way back to Slopes."""
+        """A function of Frames that returns two functions: one without arguments gives |R| of the joint, (frames,), the other Slopes.
+
+        The latter takes dJ/d|R| (frames,) and returns the Slopes of J in q, lam and t. span is not used.
+        """
         name, columns, chosen = self._chosen(model)
 
         def evaluate(frames):
-            """Sizes of the reaction in the frames, and the function to Slopes."""
+            """(function () -> sizes |R| of the reaction (frames,), `to_slopes`) in these Frames."""
             reaction = Reaction(model, name, frames.t, frames.q, frames.lam[:, columns], chosen)
             size = np.linalg.norm(reaction.reaction, axis=1)
 

@@ -37,7 +37,7 @@ class Mass(Objective):
     of_frames = False
 
     def __call__(self, run: Any) -> float:
-        """Return the mass, kg, of the part or of all parts of a run's model."""
+        """Return the mass, kg, a float, of the chosen part of a run's model, or of all bodies and point masses if none is chosen."""
         return sum(self._masses(run_of("Mass", run).model).values())
 
     def named(self, model: Any) -> Mass:
@@ -143,7 +143,7 @@ class _Mode:
     """A mode x of a state (t, q, lam), with the multipliers mu of `omega^2 M x = K x + B^T mu`; by_square: df/d(omega^2), s."""
 
     def __init__(self, modes, number, square):
-        """Read the mode with this number; square: its omega^2."""
+        """Take shape, state and frequency of the mode with this number from Modes, and compute its multipliers mu; square: its omega^2."""
         self.model, state = guard(modes.model), modes.state
         self.square = square
         self.t, self.q, self.lam = state.t, state.q, state.lam

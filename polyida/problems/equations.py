@@ -69,7 +69,7 @@ class Pendulum(Model):
 
 
 def pendulum_problem():
-    """The planar pendulum in Cartesian coordinates: the smallest index-3 problem with a closed solution.
+    """Return the Problem of the planar pendulum in Cartesian coordinates: the smallest index-3 problem with a closed solution.
 
     From rest at (-1, 0) for 10 s, a little over four periods; v and lam follow from the energy, which is 0 J.
     """
@@ -152,7 +152,7 @@ class CarAxis(Model):
         return np.array([q[:2] @ road(t, self.radius)[1], 0.0])
 
     def phi_bias(self, t, q, v):
-        """Part of phi'' that does not depend on accelerations, (2,), m^2/s^2."""
+        """The terms of the second time derivative phi'' without accelerations, (2,), m^2/s^2: `phi'' = phi_q a + phi_bias`."""
         _, velocity, acceleration = road(t, self.radius)
         return np.array([2 * v[:2] @ velocity + q[:2] @ acceleration, 2 * v @ PAIR @ v])
 

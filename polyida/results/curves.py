@@ -42,7 +42,11 @@ def curves_of_mesh(mesh):
 
 
 def curves_of(meshes, nodes, offsets):
-    """The Curves of meshes with the numbers of their first nodes; nodes and offsets of all their cells."""
+    """The Curves of all meshes [(mesh, number of its first node)] together.
+
+    nodes, offsets: the corners of all their cells, as of Curves. Cells of order 2 get points within their sides, which are inserted into
+    nodes and offsets.
+    """
     edges, sides, halves = [np.zeros((0, 2), int)], [np.zeros((0, 3), int)], [np.zeros((0, 2), int)]
     new = sum(mesh.n_nodes for mesh, _ in meshes)
     for mesh, first in meshes:

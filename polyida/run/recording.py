@@ -20,7 +20,10 @@ class Sampler:
     """
 
     def __init__(self, store, counts, every=1, output=None, done=0, model=None):
-        """Take the FrameStore, the Counts of the run, and `done`: how many times of `output` are stored already."""
+        """Take the FrameStore, the Counts of the run, and which states become frames: each `every`-th, or those at the times `output`.
+
+        done: how many times of `output` are stored already, in a run that is resumed. model: as of the class.
+        """
         self.store, self.counts, self.model = store, counts, model
         self.every, self.output = every, output
         self.next = done  # number of the next time of `output`

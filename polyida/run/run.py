@@ -64,7 +64,10 @@ class Run:
         self.flushed_steps, self.flushed_at = counts.steps, time.monotonic()
 
     def begin(self, state, overwrite):
-        """Store the first state, and put the file in its place if there is one. Raises InputError if that is not possible."""
+        """Store the first State as a frame and as the state to restart from; with a file flush it and put it at its path.
+
+        overwrite: True if a file at that path may be replaced. Raises InputError if the file cannot be put there.
+        """
         with self.store.file.publishing(overwrite) if self.streams else nullcontext():
             self.sampler.start(state)
             self.last = state
@@ -227,7 +230,10 @@ class Run:
             self._flush()
 
     def _due(self):
-        """True if a flush is due: as the plan says, or up to half as many steps later if a block of frames is complete by then."""
+        """True if a flush of the file is due, after the steps of the plan or FLUSH_SECONDS, or up to half as much later for a full block.
+
+        It waits only if a block of frames is complete by then, and ends as soon as it is.
+        """
         steps, wait = self.counts.steps - self.flushed_steps, self.store.file.rows * self.plan["every"]
         late = max(steps / self.plan["flush_every"], (time.monotonic() - self.flushed_at) / FLUSH_SECONDS)
         return late >= 1.0 and (late >= 1.5 or 2 * wait > self.plan["flush_every"] or self.store.count == self.store.file.count)

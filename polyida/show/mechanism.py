@@ -77,7 +77,7 @@ class _Pen:
         return Symbols(segments["joints"], segments["forces"], pairs_of(pins))
 
     def lone(self, body):
-        """Draw a body with one named point: a disc with its two diameters."""
+        """Add a circle and its two diameters at the point of a body that has exactly one named point; nothing for other bodies."""
         points = points_of(body)
         if len(points) == 1:
             at, radius = self.place(points[0], "point"), 0.35 * self.size
@@ -184,7 +184,10 @@ class _Pen:
         return np.stack([at + corner for corner in corners], axis=1)
 
     def circle(self, at, radius, begin=0.0, end=2 * np.pi):
-        """An arc about a place (frames,) from the angle begin to end, rad: (frames, CIRCLE) complex corners, m."""
+        """Return an arc of this radius, m, about the places `at` (frames,) complex, from the angle begin to end, rad; default: a circle.
+
+        It has (frames, CIRCLE) complex corners, m. Nothing is drawn.
+        """
         return at[:, None] + radius * np.exp(1j * np.linspace(begin, end, CIRCLE))
 
     def hatch(self, begin, end, side):
@@ -244,7 +247,7 @@ class _Pen:
             self.hatch(begin, end, -1j * along * above)
 
     def spring(self, a, b, stiff, damped):
-        """Draw a zigzag for a spring, a dashpot for a damper, or both beside each other, from a to b."""
+        """Add lines from a to b, (frames,) complex, m: a zigzag if stiff, else a dashpot, both beside each other if stiff and damped."""
         along = b - a
         length = np.abs(along)
         unit = np.where(length > 0.0, along / np.maximum(length, 1e-300), 1.0)

@@ -81,7 +81,7 @@ def connectivity(model):
 
 
 def curves(model):
-    """The Curves of all plates of a model, which draw their edges."""
+    """The Curves of all plates of a scene's model together: the lines of their cells and boundaries. Raises InputError without any."""
     return curves_of([(body.mesh, body.nodes.start) for body in bodies(model)], *connectivity(model))
 
 

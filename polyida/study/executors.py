@@ -218,7 +218,7 @@ def _checked_call(function, arguments):
 
 
 def to_json(value):
-    """`default` of json.dumps: numpy's numbers and arrays as numbers and lists, anything else as text."""
+    """`default` of json.dumps: numpy's numbers and arrays of one entry as numbers, other arrays as lists, anything else as text."""
     if hasattr(value, "item") and getattr(value, "size", 1) == 1:
         return value.item()
     return value.tolist() if hasattr(value, "tolist") else str(value)

@@ -221,12 +221,12 @@ def drift(
     every: int = 1,
     progress: Callable[[int, int, str], object] | bool | None = None,
 ) -> Drift:
-    """Run each integrator and measure the constraint violations `max |phi|` and `max |phi_q v + phi_t|`.
+    """Run each integrator and measure the largest constraint violations of its run, `max |phi|` and `max |phi_q v + phi_t|`.
 
     Parameters
     ----------
     model, t_end, q0, v0, integrators, frames, every, progress
-        As in `energy`.
+        As in `pi.study.energy`.
 
     Returns
     -------

@@ -175,7 +175,10 @@ class Precision(Result):
         return [row for row in self.rows if row["integrator"] == label and row["status"] in ("done", "stopped")]
 
     def _fitted(self, label, part):
-        """The rows of an integrator with a step h whose error in a part is above FITTED times the reference's accuracy."""
+        """List of the finished rows of the integrator `label` that its order in a part is fitted to.
+
+        They have a step h (not error control) and an error in the part above FITTED times the reference's accuracy.
+        """
         return [row for row in self._finished(label) if row["h"] is not None and row[f"error_{part}"] > FITTED * self._accuracy(part)]
 
     def _order(self, label, part):
@@ -308,7 +311,7 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress, object
         ivp = replace(ivp, quantity=ivp.quantity.at_steps_of(runs))
 
     def smallest_errors(reference):
-        """{part: smallest error above zero of all runs relative to a reference}; 0 if no run has such an error."""
+        """{part: smallest error above zero of all runs relative to this reference}; 0 for a part in which no run has such an error."""
         errors = [errors_of(ivp, run, reference) for run in runs]
         return {part: min((each[part] for each in errors if each[part] > 0), default=0.0) for part in ivp.parts}
 

@@ -183,7 +183,10 @@ class RowFolder:
         remove_left_over(self.folder)
 
     def read(self, key, case):
-        """The row of a case, or None if there is no complete file or it belongs to another case."""
+        """The row stored in the file `key`.json, a dict, or None if the case must be run: no complete file of this case, or `fresh`.
+
+        A row with an error counts only with the same code, and not if failed ones are to be retried. case: {name: value} of the settings.
+        """
         data = _read_file(self.folder / f"{key}.json") if self.folder and not self.fresh else None
         if data is None or data["row"].get("error") and (self.retry_failed or data["code"] != self.code):
             return None

@@ -174,7 +174,10 @@ def functions_of(source):
 
 
 def kind_of(name, by_numba, equations, source):
-    """The class of models with these functions; equal ones are one class, so that its functions are compiled once."""
+    """The subclass of SymbolicModel with these functions; equal arguments give the same class, so that its functions are compiled once.
+
+    name: of the model. by_numba: True if functions are compiled. equations: its Equations. source: Python text of its functions.
+    """
     s = equations.symbols
     users = (*s.user_q, *s.user_x, *(key for key, _, _ in s.parameters.values()), *s.functions, *equations.also)
     key = name, by_numba, source, users
@@ -184,7 +187,7 @@ def kind_of(name, by_numba, equations, source):
 
 
 def _kind(name, by_numba, equations, source):
-    """Make the class of models with these functions and sizes, as a subclass of SymbolicModel."""
+    """Make a new subclass of SymbolicModel with these functions and sizes; the arguments are those of `kind_of`."""
     s, body = equations.symbols, functions_of(source)
     if s.functions:
         body["kinks"] = SymbolicModel._kinks

@@ -170,7 +170,7 @@ def multipliers(work, at):
 
 @part
 def step_times(work, at):
-    """h, t and the times of the instants at an address."""
+    """A view of the array at an address: h, the time at which a step begins, the same or beside a kink, and the times of its instants."""
     return carray(pointer(at), (3 + work.kept_rows.shape[0],))
 
 

@@ -93,7 +93,7 @@ def add_difference(work, function, argument, factor):
 
 @part
 def add_slope(work, written, function, argument, factor):
-    """S += factor times a derivative that the model writes, or its difference."""
+    """Add to work.S factor times a derivative: the model's own, `written`, or else the difference of `function` in `argument`."""
     if not work.functions[written]:
         return add_difference(work, function, argument, factor)
     ended = dense.evaluate(work, written, dense.INNER, work.slope)
@@ -105,7 +105,10 @@ def add_slope(work, written, function, argument, factor):
 
 @part
 def add_slopes(work):
-    """Fill S with the sum of the derivatives of the model's terms at work.t, work.q, work.v, work.a, work.lam. Returns the status."""
+    """Overwrite work.S with `c_m M + c_v C + K` at work.t, work.q, work.v, work.a, work.lam, c_m and c_v in work.coefficients.
+
+    Returns the status. K and C are the sum of the derivatives of the terms of r.
+    """
     if work.flags[dense.MASS_VARIES]:
         dense.evaluate(work, dense.MASS, dense.INNER, work.M)
     for i in range(work.S.shape[0]):
@@ -122,7 +125,10 @@ def add_slopes(work):
 
 @part
 def matrices_at(work, K, C, M):
-    """Fill K = dr/dq, C = dr/dv, unless that is zero, and M at work.t, work.q, work.v, work.a, work.lam. Returns the status."""
+    """Overwrite K = dr/dq, C = dr/dv and M, (n, n) each, at work.t, work.q, work.v, work.a, work.lam. Returns the status.
+
+    If forces do not depend on v, C stays as it is. work.S, work.slope and work.coefficients are changed.
+    """
     if work.flags[dense.VELOCITY]:
         lu.clear(work.S)
         add_slope(work, dense.FORCE_V, dense.FORCE, work.v, 1.0)
@@ -206,7 +212,11 @@ def row_size(slots, eigenvalue, level):
 
 @part
 def fill_matrix(matrix, slots, eigenvalue, size):
-    """Fill the matrix of a mode. lam is in units of the typical size of S, mu in those of |eigenvalue|; rows are divided by `row_size`."""
+    """Overwrite matrix (N, N) with the matrix of a mode, in blocks as above, from K, C and M of the chosen slot and B, G, H, N of slots.
+
+    eigenvalue: c of the mode, real or complex; size: the typical size of S. The rows of r are divided by size, the others by `row_size`.
+    lam is in units of size, mu in those of |c|.
+    """
     k, n, m, scale = slots.state[CHOSEN], slots.K.shape[1], slots.B.shape[0], abs(eigenvalue)
     K, C, M = slots.K[k], slots.C[k], slots.M[k]
     for i in range(n):

@@ -149,7 +149,7 @@ class PythonTable:
         return self._at(instant)[0], self._array(q, self.model.n).copy()
 
     def _stage(self, instant):
-        """Index of the stage of an instant, under which its increments and B are stored."""
+        """Number of the stage of an instant within its step, `(instant - 1) mod (stages + 1)`: the index of its increments and its B."""
         return (instant - 1) % (self.stages + 1)
 
     def _begin(self, instant, q, v, *_):

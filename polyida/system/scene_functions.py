@@ -117,7 +117,7 @@ def stages(work, at):
 
 @part
 def step_times(work, at):
-    """h, t and the times of the stages at an address."""
+    """A view of the array (3 + s,) at an address: h, the begin of a step, the same or a time beside a kink, and the times of its stages."""
     return carray(pointer(at), (3 + work.c.shape[0],))
 
 

@@ -218,7 +218,10 @@ class GeneralizedAlpha(Integrator):
         return 1 if abs(c.gamma - 0.5 + c.offset) > 1e-6 else 2
 
     def newton_tolerance(self, scale: float) -> tuple[float, float, float]:
-        """(least, most, share): Newton may leave share times the change of q'' in a step, within least and most times q''; scale: h^2 q'' over q."""
+        """(least, most, share) of Newton's tolerance of q'': share times its change in a step, within least and most times q''.
+
+        scale: the ratio of h^2 q'' to q. A tolerance that the user gives is least and most, with share 0.
+        """
         if self.tolerance is not None:
             return self.tolerance, self.tolerance, 0.0
         return LEAST, MOST, SHARE * max(abs(self.coefficients.error), 1 / 12) * scale

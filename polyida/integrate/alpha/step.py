@@ -104,7 +104,7 @@ class Trial(NamedTuple):
 
 
 def empty(n, m):
-    """(Begin, Trial) for n coordinates and m constraints."""
+    """A new pair (Begin, Trial), filled with zeros, for n coordinates and m constraints."""
     past, rows, now = np.zeros((9, n)), np.zeros((3, m)), np.zeros((8, n))
     return Begin(past, rows, np.zeros(MARKS), *past, *rows), Trial(now, *now, *np.zeros((5, m)))
 

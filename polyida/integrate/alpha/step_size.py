@@ -37,7 +37,7 @@ class ErrorControl:
 
     @property
     def order(self):
-        """Order in h of the local error over the allowed one."""
+        """The power of h in the ratio of local to allowed error: ORDER, or one less if the allowed error is h/span of the run's."""
         return ORDER if self.span is None else ORDER - 1
 
     @property

@@ -186,7 +186,7 @@ class Steps:
         return part
 
     def last_of(self, grid):
-        """The State at the end of the grid, in arrays of its own. Raises StepFailure."""
+        """Take all steps of a Grid and return the State at its end, in arrays of its own; no frames are kept. Raises StepFailure."""
         rows, self.rows = self.rows, _no_rows
         try:
             return list(self.run(grid))[-1].last

@@ -27,7 +27,7 @@ CHUNK_BYTES = 4_000_000  # of frames that one compiled stretch fills
 
 
 def products(M, v):
-    """`M v` of velocities (k, n), M sparse; each is the same to the last bit whatever the others are."""
+    """The products (k, n) of sparse M (n, n) with the k rows of v (k, n); each is the same to the last bit whatever the others are."""
     return np.ascontiguousarray((M @ v.T).T)
 
 

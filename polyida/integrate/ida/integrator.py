@@ -36,7 +36,7 @@ def _must(expected, good):
 
 
 def _require(label, name, value, expected, good):
-    """Return the value. Raise InputError, "label: name value expected", unless `good(value)`."""
+    """Return the value as it is; raise InputError, with the text "label: name value expected", unless `good(value)` is true."""
     if not good(value):
         raise InputError(f"{label}: {name} {value} {expected}")
     return value

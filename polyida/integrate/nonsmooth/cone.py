@@ -206,9 +206,10 @@ def sweep(delassus, free_rates, cone, forces, slope):
 
 @entry
 def solve_cone(delassus, free_rates, cone, forces, status):
-    """Change the forces p (k,) from a start to the solution, and fill status (k,). Returns the number of Newton iterations, or -1 without a solution.
+    """Overwrite a start, the pressures p = forces (k,), with a solution, and fill status (k,); return the Newton iterations, or -1.
 
-    delassus (k, k): G, whose diagonal becomes positive; free_rates (k,): b.
+    delassus (k, k): G, whose diagonal entries are replaced by their magnitudes, at least LEAST; free_rates (k,): b; cone: the Cone of the
+    laws. -1: no solution was found. status: of each row, whether it is open, closed, sticks or slips.
     """
     k = forces.shape[0]
     matrix, right, slope, total = np.empty((k, k)), np.empty(k), np.empty(k), 0

@@ -159,7 +159,7 @@ class Contacts:
         return self._mobility[1]
 
     def gaps(self, t, q):
-        """phi of the rows with laws, (k,), 0 for friction."""
+        """Gaps of all rows with laws, (k,): phi of each contact, and 0 for each row of friction, which has none."""
         return np.where(self.contact, self.model.phi(t, q)[self.rows], 0.0)
 
     def columns(self, solve, B):
@@ -383,7 +383,11 @@ class Contacts:
         return np.where(np.abs(back) < np.abs(free - before), 0.0, back) if h else back
 
     def remaining(self, t, q, v, touching, status):
-        """(rates of the rows with laws, contacts that stay closed) behind an impact; the rate of those that carry a force is round-off."""
+        """(rates (k,), True for the contacts that stay closed (k,)) of the rows with laws behind an impact, at (t, q, v), v behind it.
+
+        touching (k,): contacts closed at the impact; those stay closed that do not open, rate <= `still(v)`, or that carry a force: where
+        `status` (k,) is CLOSED the rate is round-off.
+        """
         rate = self.rates(t, q, v)[self.rows]
         return rate, touching & ((rate <= self.still(v)) | (status == CLOSED))
 

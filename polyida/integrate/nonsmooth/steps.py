@@ -149,9 +149,10 @@ class Steps:
         self.impulsive = settings.impulsive
 
     def restarted(self, state, v):
-        """The state behind a kink or a sample, with consistent accelerations: at a kink at the time next to it, behind the jump of motors' rates.
+        """A new State at `state.t` from q and memory of `state` and the velocities v (n,), with consistent accelerations and forces.
 
-        v: the velocities behind the sample.
+        At a kink the State is at the next time behind it, and its v is that after the impact that the jump of the motors' rates causes.
+        Elsewhere, at a sample of a controller, v are the velocities behind the sample.
         """
         contacts, t, q = self.contacts, state.t, state.q
         closed = np.asarray(state.memory["closed"], bool)

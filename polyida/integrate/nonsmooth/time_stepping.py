@@ -96,7 +96,10 @@ class NonsmoothAlpha(TimeStepping):
         return Coefficients.chung_hulbert(self.rho_inf)
 
     def newton_tolerance(self, scale: float) -> tuple[float, float, float]:
-        """(least, most, share): Newton may leave share times the change of q'' in a step, within least and most times q''; scale: h^2 q'' over q."""
+        """(least, most, share) of Newton's tolerance of q'': share times its change in a step, within least and most times q''.
+
+        scale: the ratio of h^2 q'' to q. A tolerance that the user gives is least and most, with share 0.
+        """
         return GeneralizedAlpha(h=self.h, rho_inf=self.rho_inf, tolerance=self.tolerance).newton_tolerance(scale)
 
 

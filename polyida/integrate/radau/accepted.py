@@ -91,7 +91,7 @@ class StretchStates(Stretch):
         )  # each holds the stretch, which so must not hold it
 
     def part(self, first, end, every=1):
-        """The ends from number `first` to before `end`, or each `every`-th of them."""
+        """The StretchStates with the ends number `first` to before `end`, or each `every`-th of them; without copies."""
         return StretchStates(self._stretch, self._which[first:end:every])
 
     def computed(self):

@@ -157,7 +157,7 @@ class Matrices:
             self.borders.append(Border(np.hstack([X, self._free(k, slope @ rows.G.T)]) if rows.tied else X))
 
     def inertia(self, v, a):
-        """The force `C v + M a`, (n,), with C and M of `made_at`."""
+        """The product `C v + M a`, (n,), with C = dr/dv and M at the state `made_at`, of any v and a (n,)."""
         force = self.M @ a
         return force if self.C is None else force + self.C @ v
 

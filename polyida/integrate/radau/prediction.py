@@ -27,7 +27,7 @@ PARALLEL = 1e-9  # squared sine of the angle below which prediction errors are p
 
 @part
 def weighted_sum(weights, values, out):
-    """out = weights values, (s, k) each."""
+    """Overwrite out (s, k) with the matrix product of weights (s, s) and values (s, k)."""
     for k in range(values.shape[0]):
         for i in range(values.shape[1]):
             out[k, i] = weights[k, 0] * values[0, i]

@@ -58,7 +58,7 @@ def stage_rates(inverse, h, values, rates):
 
 @part
 def stage_state(tableau, h, memory, trial, work, stage):
-    """Write q and v of a stage to the workspace."""
+    """Overwrite work.q and work.v (n,) with q and v of a stage: the step's start in memory, and e and v - v_0 of the stage in trial."""
     c = tableau.c[stage] * h
     for i in range(work.q.shape[0]):
         work.q[i] = memory.q[i] + (c * memory.v[i] + trial.e[stage, i])
@@ -67,7 +67,10 @@ def stage_state(tableau, h, memory, trial, work, stage):
 
 @part
 def stage_velocities(model, first, method, arrays, h):
-    """v and v' of the stages from e and mu, and psi."""
+    """Overwrite trial.dv = v - v_0 and trial.a = v' (s, n) of the stages, from trial.e and trial.mu; return a status.
+
+    With velocity rows work.psi (s, m) is filled, by the rates at v = q'; without these it stays as it is.
+    """
     tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
     stage_rates(tableau.W, h, trial.e, trial.dv)
     for k in range(trial.e.shape[0] if method.velocity_rows.shape[0] else 0):
@@ -91,7 +94,10 @@ def stage_velocities(model, first, method, arrays, h):
 
 @part
 def phi_by_increments(model, first, memory, trial, work, stage):
-    """phi and phi' of a stage by increments from the start of the step; work.q is q of the stage."""
+    """Overwrite work.rows[:, stage] (2, m) with phi and phi' of a stage, by increments from the start of the step; return a status.
+
+    work.q is q of the stage, e and v - v_0 are in trial.
+    """
     phi, rate = work.rows[PHI, stage], work.rows[PHI_RATE, stage]
     put(1.0, memory.phi_start[PHI], phi)
     put(1.0, memory.phi_start[PHI_RATE], rate)
@@ -100,7 +106,11 @@ def phi_by_increments(model, first, memory, trial, work, stage):
 
 @part
 def residuals(model, first, method, arrays, h):
-    """r, phi and phi' of all stages."""
+    """Overwrite work.r (s, n) and work.rows (2, s, m) with r, phi and phi' of all stages in trial; return a status.
+
+    trial.dv and trial.a are made from e and mu first. In velocity rows psi stands in place of phi; phi' is filled only if it is an equation
+    or computed by increments.
+    """
     tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
     status = stage_velocities(model, first, method, arrays, h)
     for k in range(trial.e.shape[0]):
@@ -119,7 +129,11 @@ def residuals(model, first, method, arrays, h):
 
 @fast
 def into_modes(method, tableau, h, work):
-    """Transform the residuals of the stages to the modes. Velocity rows are divided by c."""
+    """Transform the residuals of the stages, work.r (s, n) and work.rows (2, s, m), to those of the modes: overwrite four arrays of work.
+
+    right (n,) and closing (2, m) are of the real mode, right_pair and closing_pair of the complex one. A velocity row in the block of phi
+    is divided by c = l/h of its mode.
+    """
     stages, real = work.r.shape[0], tableau.real_row.shape[0] > 0
     for i in range(work.right.shape[0]):
         one, pair = 0.0, 0.0j
@@ -145,7 +159,7 @@ def into_modes(method, tableau, h, work):
 
 @fast
 def from_modes(tableau, work):
-    """Transform the corrections of the modes to the stages, in work.r."""
+    """Overwrite work.r (s, n) with the corrections de of the stages, from the corrections of the modes in work."""
     for k in range(work.r.shape[0]):
         real, pair = tableau.real_column[k] if tableau.real_row.shape[0] else 0.0, 2.0 * tableau.pair_column[k]
         for i in range(work.r.shape[1]):
@@ -154,7 +168,7 @@ def from_modes(tableau, work):
 
 @part
 def add_multipliers(tableau, work, kind, lam):
-    """Add the modes' multipliers of one kind (0: lam, 1: mu) to those of the stages."""
+    """Add the corrections of multipliers in work, those of the modes, to lam (s, m) of the stages; kind: 0 for lam, 1 for mu."""
     for k in range(lam.shape[0]):
         for e in range(lam.shape[1]):
             lam[k, e] += 2.0 * (tableau.pair_column[k] * work.multipliers_pair[kind, e]).real
@@ -164,7 +178,10 @@ def add_multipliers(tableau, work, kind, lam):
 
 @part
 def iterate(model, first, method, arrays, h):
-    """One Newton iteration: (status, norm of dq and h dv: root mean square over stages, weighted by mass)."""
+    """Correct e, lam and mu of the stages in trial by one Newton iteration; return (status, norm of dq and h dv).
+
+    The norm is the root mean square over the stages, weighted by mass.
+    """
     tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
     status = residuals(model, first, method, arrays, h)
     if status != DONE:

@@ -65,7 +65,11 @@ def project_end(model, first, method, arrays, h):
 
 @part
 def defects(tableau, h, memory, trial, work):
-    """Fill the differences of v_0, and of v' at the end of the last step, to the stages' polynomial at the step's start: work.inertia[:2]."""
+    """Overwrite work.inertia[0] with p' - v_0 and work.inertia[1] with w' - v', (n,) each, the defects at the step's start.
+
+    p and w: the polynomials of q and v through the step's start and its stages, by e and v - v_0 of the stages in trial; v': that at the
+    end of the last step, memory.a.
+    """
     for i in range(trial.e.shape[1]):
         v, a = 0.0, memory.a[i]
         for k in range(trial.e.shape[0]):
@@ -76,7 +80,11 @@ def defects(tableau, h, memory, trial, work):
 
 @part
 def close_velocity_rows(method, tableau, h, work):
-    """Fill the closing rows of the first mode: zero, but (v + v'/c)/c along the velocity rows."""
+    """Fill work.closing, or work.closing_pair without a real mode, for the filter of the local error: zero, but for velocity rows.
+
+    c: the mode's eigenvalue over h. In the rows of phi' stands (v + v'/c) of each velocity row, from work.rates, in those of phi this over
+    c; the other of the two arrays is zero.
+    """
     c = complex(tableau.values[1], tableau.values[2]) / h
     clear(work.closing)
     clear(work.closing_pair)
@@ -130,7 +138,10 @@ def local_error(model, first, method, arrays, h):
 
 @part
 def end_state(model, first, h, memory, trial, work):
-    """Write the state at the step's end to the workspace, with a and lam of the equations of motion, or of the last stage if these are singular."""
+    """Overwrite work.q, work.v, work.a and work.lam with the state at the step's end; return a status.
+
+    a and lam are those of the equations of motion, or of the last stage if these are singular.
+    """
     k, n = trial.e.shape[0] - 1, trial.e.shape[1]
     total = 0.0
     for i in range(n):
@@ -156,7 +167,10 @@ def end_state(model, first, h, memory, trial, work):
 
 @part
 def advance(h, error, memory, trial, work):
-    """Make the step's end the start of the next step."""
+    """Copy the state at the step's end, in work and trial, to memory, as the start of the next step, with h and `error`, the local error.
+
+    memory also takes the error of the prediction, and v - v_0 and lam of the stages, from which the next stages are extrapolated.
+    """
     store_prediction_error(memory, trial, work)
     k = trial.e.shape[0] - 1
     for i in range(work.q.shape[0]):
