@@ -24,7 +24,7 @@ def singular_in_step(mode, before, after):
 
     unique = uniqueness(mode, before, after)
     reached = not unique > UNIQUE
-    agrees = mode.agrees(after)
+    agrees = mode.press_direction_is_consistent(after)
     ahead = singular_ahead(mode, before, after.t - before.t) if reached or not agrees else None
     if ahead is None and (reached or (not agrees and unique < CLOSE)):
         if unique > 0.0:

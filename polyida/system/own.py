@@ -20,9 +20,9 @@ from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, FACTOR, INSTANTS
 from polyida.system import dense as small
 
 SHORT, LONG = 5e-3, 20e-3  # s: wanted CPU time of a stretch
-MOST_VIEWS = 4096  # arrays at addresses that are stored
+VIEWS = 4096  # arrays at addresses that are stored
 SERVED = small.SERVED | dense_slots.SERVED
-WITHOUT_ARGUMENTS = ctypes.CFUNCTYPE(ctypes.c_int64)  # called without reading its arguments: conversion of these takes 0.7 us a call
+ALONE = ctypes.CFUNCTYPE(ctypes.c_int64)  # called without reading its arguments: conversion of these takes 0.7 us a call
 
 
 class PythonTable:
@@ -42,15 +42,10 @@ class PythonTable:
 
     def __init__(self, model, incremental=False):
         """Make the table of a guarded model; incremental: True if its constraints are computed by increments from the step's beginning."""
-        self.incremental = incremental
-        self.model = model
-        self.raised = None  # the exception of a callback, until the driver has returned
-        self.times = np.zeros((self.instants, 2))  # s: of each instant, INNER and END
-        self.unknowns = model.n  # coordinates of Newton's method
-        self.functions = np.zeros(ENTRIES, np.int64)  # addresses
-        self.callbacks = []  # C functions, which must live as long as the table
-        self.views = {}  # {(address, size): array}
-        self._make_functions()
+        self.incremental, self.model, self.raised, self.times = incremental, model, None, np.zeros((self.instants, 2))
+        self.unknowns = model.n
+        self.functions, self.callbacks, self.views = np.zeros(ENTRIES, np.int64), [], {}
+        self._fill()
 
     def _fill(self):
         """Store the address of each entry in `functions`. __init__ calls it: what it reads must be set before super().__init__."""
@@ -100,11 +95,7 @@ class PythonTable:
 
     def prepare(self, times, ends, h):
         """Prepare steps between the times. ends: the first and the last time, or times beside them inside the steps at a kink."""
-        count = len(times) - 1
-        self.begin = times[0]
-        self.last = times[-1]
-        self.ends = ends
-        self.h = h
+        count, self.begin, self.last, self.ends, self.h = len(times) - 1, times[0], times[-1], ends, h
         self.times[:count, small.INNER] = self.times[:count, small.END] = times[1:]
         self.times[count - 1, small.INNER] = ends[1]
 
@@ -135,7 +126,7 @@ class PythonTable:
         """The array (size,) at an address; stored, because drivers use the same addresses again and again."""
         view = self.views.get((at, size))
         if view is None:
-            if len(self.views) == MOST_VIEWS:
+            if len(self.views) == VIEWS:
                 self.views.clear()
             view = self.views[at, size] = np.frombuffer((ctypes.c_double * size).from_address(at)) if size else np.zeros(0)
         return view
@@ -149,7 +140,7 @@ class PythonTable:
         return self._at(instant)[0], self._array(q, self.model.n).copy()
 
     def _stage(self, instant):
-        """Number of the stage of an instant within its step, `(instant - 1) mod (stages + 1)`: the index of its increments and its B."""
+        """Index of the stage of an instant, under which its increments and B are stored."""
         return (instant - 1) % (self.stages + 1)
 
     def _begin(self, instant, q, v, *_):
@@ -244,7 +235,7 @@ class DenseTable(PythonTable):
         w = small.workspace(model.n, model.m, functions, 0, flags, self.stages, self.levels)
         self.w = w = w._replace(times=self.times)
         for name, function in self._functions(w).items():
-            functions[small.FUNCTIONS.index(name)] = self._kept(WITHOUT_ARGUMENTS(function)) if function else 0
+            functions[small.FUNCTIONS.index(name)] = self._kept(ALONE(function)) if function else 0
         if model.by_numba:
             self._take_compiled(functions)
         self.workspace, self.factored, self.has_constants = self.w.address, None, False
@@ -289,12 +280,10 @@ class DenseTable(PythonTable):
         The vectors are copied because the user may store them. t: the function that gives the time, None if it is no argument. What a
         CheckedFunction does is written here again, because each call in Python takes 0.1 us.
         """
-        shape = out.shape
-        first, *others = (x.copy for x in vectors)
+        seen, convert, explain = [(), None], dense, lambda error: error
         if isinstance(function, CheckedFunction):
-            call, seen, convert, explain = function.function, function.seen, function.array, function.explained
-        else:
-            call, seen, convert, explain = function, [(), None], dense, lambda error: error
+            seen, convert, explain, function = function.seen, function.array, function.explained, function.function
+        (first, *others), shape = [x.copy for x in vectors], out.shape
 
         def read_only(copy):
             """A read-only copy of a vector of the workspace; copy: its own method."""
@@ -307,14 +296,8 @@ class DenseTable(PythonTable):
             try:
                 q = first()
                 q.setflags(False)
-                if others:
-                    arguments = t(), q, *map(read_only, others)
-                elif t:
-                    arguments = t(), q
-                else:
-                    arguments = (q,)
-                seen[0] = arguments
-                result = call(*arguments)
+                seen[0] = arguments = (t(), q, *map(read_only, others)) if others else (t(), q) if t else (q,)
+                result = function(*arguments)
                 if type(result) is not ndarray or result.dtype is not FLOAT or result.shape != shape:
                     result = dense(convert(result))
                 seen[1] = out[...] = result
