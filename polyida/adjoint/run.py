@@ -355,7 +355,10 @@ class EventTimeSensitivity:
     """
 
     def __init__(self, model, run, parameters):
-        """Find how fast the ends of the segments move with each parameter."""
+        """Find dt/dp at the kinks and samples of the run.
+
+        For each of {name: Parameter} that moves a kink of a load or motor; begin without slopes.
+        """
         begin, end = float(run.t[0]), float(run.t[-1])
         moving = {name: parameter.kinks(begin, end) for name, parameter in parameters.items()}
         self.model = model

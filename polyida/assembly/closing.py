@@ -56,7 +56,7 @@ class Assembly:
 
 
 def close(parts, fixed=()):
-    """Move the bodies of {name: part} until the rows of the joints hold at t = 0; return an Assembly.
+    """Move the bodies of {name: part}, in place, until the rows of the joints hold at t = 0; return the Assembly, which lists the moves.
 
     fixed: names of bodies that must not move. Raises InputError, with all bodies as drawn, that names joints that stay open, or fixed bodies
     that would have to move.

@@ -355,7 +355,10 @@ def stiffen(bodies, body, slopes, factored, out):
 
 @part
 def relaxed_blocks(bodies, body, moved, viscous_strain, change, c_q, out):
-    """What relaxation adds to c_q K of a body: the curvature of y under -form viscous_strain, and `change` times (dy/dz)^T form dy/dz."""
+    """Add to the tangent's blocks `out` c_q times what relaxation adds to K of a body at the displacements `moved`.
+
+    That is the curvature of y under -form viscous_strain, and `change` times (dy/dz)^T form dy/dz.
+    """
     first, count, size = vectors(bodies, body)
     z, slopes, factored = np.empty((count, 2)), np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
     place(bodies, first, count, moved, z)

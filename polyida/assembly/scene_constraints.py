@@ -199,7 +199,10 @@ class Constraints(Model):
         drives, z, vz, steps = self.drives(t), self.dz(q), self.dz(v), np.eye(2 * self.n_points).reshape(-1, self.n_points, 2)
 
         def at(step):
-            """The result (m,) of `joint_rates` with the points, or their velocities, moved by a step (points, 2)."""
+            """Number `which` of phi_t, rate and bias (m,) of `joint_rates`.
+
+            The points are moved by of_q, and their velocities by of_v, times a step; both (points, 2).
+            """
             rates = np.zeros((3, self.m))
             joints.joint_rates(self.arrays.links, drives, z + of_q * step, vz + of_v * step, *rates)
             return rates[which]

@@ -37,9 +37,9 @@ def writes(part, base, function):
 
 
 def compiled_functions(part, base, *names):
-    """Return {name: function that numba will compile} of those that a class overrides.
+    """Return {name: function that numba will compile} of those `names` that the class of a part overrides.
 
-    Empty without `@pi.compiled`, or if one of them calls functions that need Python.
+    base: the class whose own functions do not count. Empty without `@pi.compiled`, or if one of them calls functions that need Python.
     """
     from polyida.jit.owner_data import OwnData
 

@@ -2,7 +2,7 @@
 
     f_i = int t F S G_i,  K_ij = int t [(G_i . S G_j) I + B_i^T D B_j] = int t G_i A G_j,  W = int t S : E / 2
 
-Arguments: the Cells and the Material of the body (operator.py); u (N, 2): displacements of all bodies, m. Arrays are contiguous, writeable float64. Results are added to the output arrays. Differences to the last
+Arguments: the Cells and the Material of the body (operator.py); moved (N, 2): displacements of all bodies, m. Arrays are contiguous, writeable float64. Results are added to the output arrays. Differences to the last
 corner replace displacements: the forces of a cell then sum to zero, and large translations cost no digits.
 
 The stabilisation of virtual elements is a constant scalar matrix S on the node pattern whose rows sum to 0: f = factor (S (x) I) u,
@@ -188,13 +188,16 @@ def _stress(viscous_strain, kappa, h, weight, at, lam_bar, two_mu):
 
 @entry
 def tangent(cells, blocks, material, moved, scale):
-    """Add scale * K to blocks (M, 2, 2) of the node pattern; the body's blocks start at pair_offset."""
+    """Add scale * K to blocks (M, 2, 2) of the node pattern; the blocks of the body start at number `blocks.first`."""
     _add_tangent(cells, blocks, material, moved, scale, None, 0.0)
 
 
 @entry
 def relaxed_tangent(cells, blocks, material, moved, scale, viscous_strain, change):
-    """Add what relaxation adds to K: the tangent with the stress -D : viscous_strain, and `change` times D elsewhere; viscous_strain as in relaxation.py."""
+    """Add scale times what relaxation adds to K at the displacements `moved`.
+
+    It is K of `tangent` with S = -D : viscous_strain and with `change` times D in place of D; viscous_strain as in relaxation.py.
+    """
     _add_tangent(cells, blocks, material, moved, scale, viscous_strain, change)
 
 

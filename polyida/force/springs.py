@@ -308,7 +308,7 @@ class PenaltyContact(ForceElement):
         return {"forces": circle_force, "energy": circle_energy}
 
     def sides(self) -> tuple:
-        """Return the point, the point of the line or circle, and the line's direction."""
+        """Return the sides (a, b, b.d): the point, the line's point and its direction; with a radius (a, b), b the circle's centre."""
         return (self.a, self.b, self.b.d) if self.radius is None else (self.a, self.b)
 
     def forces(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:

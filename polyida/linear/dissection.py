@@ -63,7 +63,11 @@ def symbolic(indptr, indices, points):
 
 
 def _reached(indptr, indices, nodes, place, first, children):
-    """(start, rows, depth) of `Symbolic`: the later nodes that are coupled to a front's nodes or its children."""
+    """(start, rows, depth) of `Symbolic`.
+
+    rows of a front: the later places that couple to its own nodes or that are rows of its children; children (fronts,): how many
+    each has; depth: most entries of updates that wait at a time.
+    """
     count, begin = np.diff(indptr), np.append(0, np.cumsum(np.diff(indptr)[nodes]))
     joined = place[indices[np.argsort(np.repeat(place, count), kind="stable")]]  # neighbours of the node at each place
     reach, waiting, depth, deepest = [], [], 0, 0

@@ -181,7 +181,7 @@ class TimeMean(Objective):
         return result
 
     def _of(self, run):
-        """The function of Frames for a run."""
+        """The function evaluate(Frames) -> (values, to_slopes) of `_evaluator`, for the model and the time steps of a run."""
         return self._evaluator(guard(run.model, type(self).__name__), _span(run))
 
     def _sizes(self, run, evaluate, moves=None):

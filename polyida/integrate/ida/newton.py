@@ -47,7 +47,10 @@ class Predicted:
         self.times, self.differences = [t], [float(self.vector @ q)]
 
     def accept(self, t, q):
-        """Take the end of a step, unless the step is within the round-off of t."""
+        """Add the accepted state at t to the divided differences of vector @ q, from which `cj` guesses the next step's order.
+
+        Nothing if t is still the last time (a step below round-off).
+        """
         if t == self.times[0]:
             return
         times, differences = [t, *self.times[: self.max_order]], [float(self.vector @ q)]
@@ -83,7 +86,10 @@ class Correction:
     """
 
     def __init__(self, system, counts, order, linear="auto", scaling="characteristic"):
-        """Make the table of the system's model and an empty iterate. order: the largest one of the formulas; linear, scaling: as of IDA."""
+        """Make the model's table, the prediction of cj, and an iterate without a factor.
+
+        order: the largest one that IDA may use, for that prediction; counts: Counts of work; linear, scaling: settings of IDA.
+        """
         model, n, m = system.model, system.model.n, system.model.m
         self.system, self.counts = system, counts
         self.predicted = Predicted(n, order)

@@ -53,7 +53,7 @@ class PythonStages(Stages, PythonTable):
         return entries | {of.ROWS: self._rows, of.SELECT: self._select}
 
     def set_lift(self, lift):
-        """Set the diagonal of D^-1."""
+        """Set lift (n,), the diagonal of D^-1: the weights of B^T mu in the stages' `q' - v + D^-1 B^T mu = 0`."""
         self.lift = lift
 
     def evaluate_constants(self, t, q):
