@@ -1,7 +1,7 @@
 """The functions g that locate events, with their derivatives: of rows with laws, and of users.
 
-Each class has `rate(state)`, g' along the motion before the event, and `back(state, c)`, which gives (c g_q, c g_v, model, its entries for
-parameters): the slopes of c g at a state of that motion.
+Each class has `rate(state)`, g' along the motion before the event, and `back(state, c)`, the slopes of c g at a state of that motion: (c g_q,
+c g_v, model, entries). model: that of all rows, or the mode if g is of a force or of the user; entries: its AdjointMultipliers, which give c g_p.
 """
 
 import numpy as np
