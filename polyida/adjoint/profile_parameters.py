@@ -37,9 +37,11 @@ def over(profile, t, order=0):
 
 
 def slope_over(profile, profile_at, scale, speeds, orders, t):
-    """The derivative of `profile_at(s)` in s at s = 0, in value and derivatives of these orders at times t, (k, orders).
+    """Derivatives in s at s = 0 of the profile `profile_at(s)` and of its derivatives in time, at times t (k,): (k, len(orders)).
 
-    speeds: of its kinks. Differences follow the kinks, so that none crosses one; the derivatives in time correct for this shift.
+    profile: that of s = 0. profile_at: function of the number s that gives a profile. scale: size of s, for the differences. speeds: of
+    each kink of the profile, its derivative in s. orders: numbers of derivatives in time, 0 for the value. Differences follow the kinks, so
+    that none crosses one; the derivatives in time correct for this shift.
     """
     moved = np.interp(t, profile.kinks, speeds) if speeds.any() else np.zeros(len(t))
     if moved.any():
@@ -97,7 +99,10 @@ def profile_works(model, work):
 
 
 def _add_products(model, work, result):
-    """Angles that turn a vector: of `R(theta) E . F`, with `across = (R E) x F` and `along = R E . F`, the slopes of value, rate and bias.
+    """Add the slopes in angles theta of drives that turn vectors to result, from rows `R(theta) E . F` of a scene's joints.
+
+    result[:, drive] (count, 3) += multiplier or adjoint in work times slope, for the profile's value and its two derivatives. With
+    `across = (R E) x F` and `along = R E . F`, slopes in theta are as follows.
 
     The value's is `across`; the rate's `theta' across + E' . F + E . F'`; the bias' that of `2 E' . F' + theta'' across
     - theta'^2 along + 2 theta' (E' x F + E x F')`. A turn by a right angle makes across of along, and minus along of across.

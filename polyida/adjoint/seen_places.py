@@ -90,7 +90,10 @@ def with_parts_of(event, old, new):
 
 
 def seeing(function, old, new):
-    """A function of a Moment that asks the new model for places of the old one's parts."""
+    """A function of a Moment of the model `new` that gives what the user's `function` gives.
+
+    The user's function names parts of the model `old`; for places and velocities it gets those of the parts of the same name in `new`.
+    """
     return lambda moment: function(_Seen(moment, old, new))
 
 

@@ -300,7 +300,10 @@ def respond(border, work, body, first, count):
 
 @part
 def is_accurate(border, work):
-    """True if work.x solves the system of work.matrix up to round-off. False for nan."""
+    """True if work.x solves the system of work.matrix with right side work.right up to round-off; False for nan.
+
+    Overwrites work.left, work.terms.
+    """
     for u in range(work.x.shape[0]):
         work.left[u], work.terms[u] = 0.0, magnitude(work.right[u])
     for f in range(border.size.shape[0]):

@@ -32,7 +32,11 @@ class OwnForce:
     period = 0.0  # s, of a controller
 
     def __init__(self, name, element, model, functions=None):
-        """Find the pairs and weights of the sides of a force element in a scene's model."""
+        """Store the matrix A of the sides of a force element, their rest positions and sizes; A q has the displacements of the sides.
+
+        name, element: of the force element. model: of its scene. functions: what calls the functions of the element, by default
+        PythonFunctions. Sides of the states of the element, if it has any, come after its own sides.
+        """
         from scipy.sparse import csr_array
 
         self.name, self.element, self.functions = name, element, functions or PythonFunctions(name, element)

@@ -102,7 +102,10 @@ def _silent_meshio():
 
 
 def _require_sane(content, kind):
-    """Raise InputError for counts and numbers of nodes in a file that would take all memory; vtu and obj have none."""
+    """Raise InputError if a whole number in a file is too large for its length: as a count or a number of a node it would take all memory.
+
+    content: bytes of the file. kind: its format; only "gmsh", "vtk" and "medit" have such numbers.
+    """
     if kind not in ("gmsh", "vtk", "medit"):
         return
     most = max(MOST, len(content))

@@ -145,9 +145,10 @@ def _full_run(model, t_end, integrator, q0=None, v0=None, progress=None, **frame
 
 
 def _consistent(run):
-    """A run with a and lam of the equations of motion: those of frames within steps are linear over the step.
+    """A copy of a run whose a and lam are computed from the equations of motion at t, q and v of each frame but the last.
 
-    They are evaluated just before each time, for steps end where loads jump. At the end they are the run's own.
+    The run's own are only linear over a step in frames within steps. The equations are evaluated just before the time of the frame, for
+    steps end where loads jump. The last frame keeps the run's own.
     """
     model, a, lam = guard(run.model), np.array(run.a), np.array(run.lam)
     for k in range(len(run) - 1):
@@ -329,11 +330,11 @@ class Ends:
         self.failed = []  # messages of runs that failed
 
     def radau(self, level):
-        """The End of Radau IIA at a level; values is empty if it failed."""
+        """The End of the reference run by Radau IIA at a level of accuracy; its values are empty if the run failed."""
         return self._end(f"radau {level}", _by_radau_at, level, self._forecast(level))
 
     def other(self, method, level):
-        """The End of another method; values is empty if it failed."""
+        """The End of the reference run by the function `method` at a level of accuracy; its values are empty if the run failed."""
         known = getattr(method, "keywords", {}).get("name") or method.__name__
         return self._end(f"{known} {level}" if method in OTHER_METHODS else "", method, level, self._forecast(level))
 
@@ -343,7 +344,10 @@ class Ends:
         return before.seconds * GROWTH if before and before.seconds else None
 
     def _end(self, name, method, level, seconds):
-        """The End of a run. name: empty for a method that is not kept."""
+        """The End of the run by `method` at a level: the kept one of this name, or computed now and kept.
+
+        name: empty for a run that is not kept. seconds: forecast of CPU time, for the text of progress, or None.
+        """
         end = self.kept.get(name) if name else None
         if end is None:
             self.progress(f"reference, level {level - LOOSE_LEVEL}" + (f", about {seconds:.2g} CPU s" if seconds else ""))

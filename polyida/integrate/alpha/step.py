@@ -104,7 +104,7 @@ class Trial(NamedTuple):
 
 
 def empty(n, m):
-    """(Begin, Trial) for n coordinates and m constraints."""
+    """(Begin, Trial): new packs of zeros, of the state at which a step begins and of the trial state; n coordinates, m constraints."""
     past, rows, now = np.zeros((9, n)), np.zeros((3, m)), np.zeros((8, n))
     return Begin(past, rows, np.zeros(MARKS), *past, *rows), Trial(now, *now, *np.zeros((5, m)))
 
