@@ -295,7 +295,7 @@ class Events(Sequence):
         return "\n".join([f"<Events: {len(self)}; time, name, impulse, energy lost>", *map(printable, rows)])
 
     def to_dataframe(self) -> DataFrame:
-        """Return a pandas.DataFrame with the columns t, s, name, impulse, N s, energy_lost, J."""
+        """Return a pandas.DataFrame with a row for each event that happened: columns t (s), name, impulse (N s) and energy_lost (J)."""
         from pandas import DataFrame
 
         columns = ("t", "name", "impulse", "energy_lost")

@@ -18,7 +18,10 @@ def brief(thing: object) -> str:
 
 
 def shown(part):
-    """The `repr` of a part; `Kind(h=0.01)` of an object whose class has none of its own."""
+    """The `repr` of any object `part`, as a text.
+
+    If its class has none of its own, the text is `Kind(h=0.01)`: its class, and its attributes that are numbers or texts.
+    """
     if type(part).__repr__ is not object.__repr__:
         return repr(part)
     return f"{type(part).__name__}({', '.join(f'{name}={value!r}' for name, value in numbers_and_texts(part).items())})"

@@ -64,7 +64,11 @@ class AlphaAdjoint(RunAdjoint):
         return [(max(segment.first, last - self.longest), last) for last in range(end, segment.first, -self.longest)]
 
     def _motion(self, segment, first, last):
-        """q, v, a and A of the states from number `first` to `last`, (count, n) each; the first of a segment as its steps begin."""
+        """(q, v, a, A) of the states from number `first` to `last`, both included, (last - first + 1, n) each.
+
+        A: the method's acceleration-like variable, that of `(1 - alpha_m) A_1 + alpha_m A_0 = (1 - alpha_f) a_1 + alpha_f a_0`. The first
+        state of a segment has the q, v and a with which its steps begin, not those stored.
+        """
         _, *vectors, _ = self.history.states(first, last + 1)
         if first == segment.first:
             begun = self.ready[first][1]

@@ -142,7 +142,7 @@ class ReplayedRun:
     history_of = staticmethod(step_history)
 
     def __init__(self, run):
-        """Read the steps of the run and its first state."""
+        """Store the StepHistory of a run, its guarded model, its first State, and the velocity that was given for the start."""
         self.run = run
         self.model = guard(run.model)
         self.history = self.history_of(run, self.model)

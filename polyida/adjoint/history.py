@@ -178,7 +178,10 @@ def _stored_in_double(run):
 
 
 def _of_frames(run, model):
-    """The StepHistory of steps that depend on h and kinks only. Raises InputError if the frames are not such steps of the model."""
+    """The StepHistory of a run with fixed steps, whose ends depend on h and on kinks of the model only; every step is a frame.
+
+    Raises InputError if the frames are not such steps of the model.
+    """
     segments, done, has_memory = [], 0, False
     for begin, end, most in pieces(model, float(run.t[0]), run.plan.get("t_end", float(run.t[-1])), run.integrator.h):
         state = State(begin, *(np.asarray(x[done], float) for x in (run.q, run.v, run.a, run.lam)))

@@ -17,12 +17,12 @@ TOGETHER = 128  # coordinates that are averaged at once
 
 @entry
 def add_shifted(steps, tau, factors, first, last, ends, sums):
-    """sums (LAGS,) -= `sum factors . fast` over steps first to last - 1, fast = tau less its linear fit in time, of the steps at each lag.
+    """sums (LAGS,) -= `factors . fast`, summed over the steps k from first to last - 1: factors of k, fast of the step at each lag from k.
 
-    steps: middle of each step, its length, and width of the Gaussian, (count,) each; tau, factors (2, ., n): over h^4 and h^3 a fit is
-    made. The lags are from -WIDTHS to WIDTHS widths; one that leaves the steps adds nothing. If the run `ends` with the steps, fast is
-    continued there by its odd image, without a jump or kink: the factors of an objective at the end are large there and cancel only in the
-    sum with a smooth fast.
+    fast: tau less its linear fit in time. steps: tuple of middle of each step, its length, and width of the Gaussian, (count,) each.
+    tau, factors (2, count, n): the fits are those of tau[0] / h^4 and tau[1] / h^3. The lags are from -WIDTHS to WIDTHS widths; one that
+    leaves the steps adds nothing. If the run `ends` with the steps, fast is continued there by its odd image, without a jump or kink: the
+    factors of an objective at the end are large there and cancel only in the sum with a smooth fast.
     """
     times, lengths, _ = steps
     at, image, low, high = steps_at_lags(steps, first, last, ends)
@@ -111,7 +111,10 @@ def subtract_fits(tau, low, near, shares, fast_part):
 
 @fast
 def product(factors, fast_part, step, other, low, lengths):
-    """factors (2, ., .) of a step times fast_part of another one, as that would be with the length of the step."""
+    """The number factors (2, ., .) of `step` times fast_part of step `other`, as this would be with the length of `step`.
+
+    low: number of the first step in fast_part. lengths: of all steps.
+    """
     result = 0.0
     for e in range(2):
         total = 0.0

@@ -101,7 +101,10 @@ def profile_works(model, work):
 
 
 def _add_products(model, work, result):
-    """Angles that turn a vector: of `R(theta) E . F`, with `across = (R E) x F` and `along = R E . F`, the slopes of value, rate and bias.
+    """Add the slopes in angles theta of drives that turn vectors to result, from rows `R(theta) E . F` of a scene's joints.
+
+    result[:, drive] (count, 3) += multiplier or adjoint in work times slope, for the profile's value and its two derivatives. With
+    `across = (R E) x F` and `along = R E . F`, slopes in theta are as follows.
 
     The value's is `across`; the rate's `theta' across + E' . F + E . F'`; the bias' that of `2 E' . F' + theta'' across
     - theta'^2 along + 2 theta' (E' x F + E x F')`. A turn by a right angle makes across of along, and minus along of across.

@@ -55,7 +55,10 @@ def step_history(run, model, memory_limit=MEMORY_LIMIT):
 
 
 def _replayed_states(run, model, recorder):
-    """Yield the accepted states of the run behind the first one of the recorder; the recorder also gets the parts of divided steps."""
+    """Compute the run again; yield its accepted States behind (after) the first one of the recorder.
+
+    The recorder gets these states, and the states at the ends of the parts of divided steps before them.
+    """
     before = recorder.states[recorder.first]
     counts = Counts()
     own = lambda settings, state, t_end: settings.steps(model, state, t_end, counts)  # noqa: E731

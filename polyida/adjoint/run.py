@@ -313,7 +313,9 @@ def constraints_at(model, state):
 
 
 def exclude_moving(totals, slopes, size):
-    """Exclude parameters with a slope of `constraints_at` the start, by {name: slope}; size: of the model. Return their names.
+    """Leave out of totals each parameter whose change moves the constraints at the start; return the list of their names.
+
+    slopes: {name: slope of `constraints_at` the start in this parameter}. size: of the model, m, to which the motion is compared.
 
     Raises InputError if they were requested by name.
     """

@@ -40,7 +40,7 @@ class AdjointTable:
         """Delete the factor: it is too old."""
 
     def raise_error(self):
-        """Raise the stored exception of a Python function."""
+        """Do nothing here; a table that calls Python functions raises the exception that one of them raised and that it stored."""
 
 
 def by_stages(stages, t, *states):

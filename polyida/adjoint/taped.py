@@ -210,7 +210,7 @@ class TapedModel:
         return self.tape.record([self.model.phi_bias(t, value_of(q), value_of(v))], back)[0]
 
     def phi_q(self, t, q):
-        """B = phi_q at (t, q), for products with vectors on the tape."""
+        """An object that stands for B = phi_q at (t, q): its products with vectors are recorded on the tape."""
         return _Rows(self, t, q)
 
     def mass_system(self, t, q):

@@ -143,7 +143,7 @@ class Loops:
         return held * phi / self.size, held[:, None] * slope
 
     def _row(self, row, x):
-        """Value and slope, m, of `constant + sum f p(0) + sum E . F`."""
+        """(value, slope (3 bodies,) in x), m, of a joint's row `constant + sum f p(0) + sum E . F`; x (bodies, 3): moves of bodies."""
         value, slope = row.constant + sum(factor * profile(0.0) for factor, profile in row.drives), np.zeros(x.size)
         for product in row.products:
             (e, e_x), (f, f_x) = self._piece(product.rotated, x), self._piece(product.unrotated, x)
@@ -171,7 +171,7 @@ class Loops:
         return phi, slope
 
     def _piece(self, piece, x):
-        """Value of a piece of a formula and its slope, (3 bodies,), complex."""
+        """(value, slope (3 bodies,) in x) of a vector in a joint's formula, complex x + i y, with the bodies moved by x (bodies, 3)."""
         value, slope = piece.rest, np.zeros(x.shape, complex)
         for side, part, w in piece.terms:
             k = self.index.get(id(side.body))

@@ -129,17 +129,17 @@ class CellSums:
     """
 
     def __init__(self, entries, cells, values):
-        """Take entry, cell and value of each summand, (summands,) each; none if all values are zero."""
+        """Store entry of `out`, cell and value of each summand, (summands,) each; empty arrays if all values are zero."""
         some = slice(None if values.any() else 0)
         self.entries, self.cells, self.values = entries[some], cells[some], values[some]
 
     def __call__(self, factors, out):
-        """Add to out (nnz,) and return it."""
+        """Add `values * factors[cell]` of each summand to out[entry], in place, and return out (nnz,); factors (cells,)."""
         kernels.sums(self.entries, self.cells, self.values, factors, out)
         return out
 
     def slopes(self, work, count):
-        """Derivatives of `work . out` in the factors of `count` cells."""
+        """A new array (count,): derivatives of `work . out` in the factors of the `count` cells; work (nnz,): weights of out."""
         out = np.zeros(count)
         kernels.sums(self.cells, self.entries, self.values, work, out)
         return out

@@ -102,7 +102,7 @@ def fill_slopes(links, drives, times, state, qs, work):
 
 @part
 def fill_rows(pattern, links, drives, times, at, qs, work):
-    """The unit rows at state `at`; nan if the model raises."""
+    """Overwrite work.rows[1] with the rows of phi_q at state number `at`, each of length one; nan if the model raises."""
     rows = work.rows[1]
     if not fill_slopes(links, drives, times, at, qs, work):
         work.slopes[:] = np.nan
@@ -156,14 +156,20 @@ def eliminate(work, symmetric, shift):
 
 @part
 def exceeds(pattern, size, work):
-    """True if the least singular value of the rows examined is larger than `size`: G - size^2 I is positive definite."""
+    """True if the least singular value of the rows work.rows[1] exceeds `size`: their Gram matrix G less size^2 I is positive definite.
+
+    Overwrites work.band.
+    """
     fill_band(pattern, work.rows[1], work.rows[1], 0, work)
     return eliminate(work, True, size * size)
 
 
 @part
 def bound(pattern, work):
-    """A lower bound of the least singular value of the rows examined, 0 if G is not positive definite."""
+    """A lower bound of the least singular value of the rows work.rows[1]; 0 if their Gram matrix G is not positive definite.
+
+    Overwrites work.band.
+    """
     if not exceeds(pattern, 0.0, work):
         return 0.0
     m, k, inverse, trace = work.band.shape[0], work.band.shape[1] // 2, work.inverse, 0.0
@@ -237,8 +243,9 @@ def begin(pattern, links, drives, times, qs, work):
 
 @entry
 def unproven(pattern, links, drives, times, qs, first, work):
-    """The first of the states (count,), from number `first` on, without proof; their number if there is none.
+    """Number of the first state, of those from `first` on, at which the rows of phi_q are not proven independent; count without one.
 
+    times (count,), qs (count, n): the states. work: has the reference state; a proven state replaces it unless it is near.
     Factors alone show that the least singular value exceeds the reference's bound, and make the bound larger; the trace costs more.
     """
     for k in range(first, qs.shape[0]):

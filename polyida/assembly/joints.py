@@ -27,7 +27,7 @@ def point_value(links, moved, point):
 
 @entry
 def point_values(links, moved, dz):
-    """dz = A moved, (points, 2)."""
+    """Overwrite dz (points, 2) with A moved, moved (pairs, 2): displacements of points from those of the coordinates, or velocities."""
     for f in range(dz.shape[0]):
         dz[f, 0], dz[f, 1] = point_value(links, moved, f)
 
@@ -109,7 +109,7 @@ def slope(links, vector, row, x, y, slopes):
 
 @leaf
 def along(links, slopes, row, places):
-    """A row of phi_z, in slopes, times places (points, 2)."""
+    """Row number `row` of phi_z times places (points, 2), a number; slopes has the entries of phi_z, row after row."""
     total = 0.0
     for e in range(links.row_start[row], links.row_start[row + 1]):
         i = links.row_columns[e]
@@ -119,7 +119,10 @@ def along(links, slopes, row, places):
 
 @part
 def add_rows(links, slopes, lam, forces):
-    """forces (points, 2) += phi_z^T lam, phi_z in slopes."""
+    """forces (points, 2) of the joints' points += phi_z^T lam.
+
+    slopes has the entries of phi_z, row after row, and lam (m,) the multipliers.
+    """
     for k in range(lam.shape[0]):
         for e in range(links.row_start[k], links.row_start[k + 1]):
             i = links.row_columns[e]
@@ -134,7 +137,10 @@ def cosine(ex, ey, fx, fy):
 
 @shared
 def joint_forces(links, drives, dz, lam, phi, forces):
-    """Fill phi; forces += phi_z^T lam. Returns the least cosine of the one-way products, 1 without any."""
+    """Overwrite phi (m,) at displacements dz (points, 2); forces (points, 2) += phi_z^T lam.
+
+    Returns the least cosine of the one-way products, 1 without any.
+    """
     least = 1.0
     for k in range(phi.shape[0]):
         phi[k] = links.row_constant[k] + along(links, links.row_slopes, k, dz)
@@ -169,7 +175,7 @@ def pressure(slips, lam, k):
 
 @part
 def slip_forces(slips, drives, dz, lam, forces):
-    """forces += the friction of rows that slip."""
+    """forces (points, 2) += the friction of rows that slip, at displacements dz (points, 2) and multipliers lam."""
     for k in range(slips.mu.shape[0]):
         friction = slips.constant[k] + slips.mu[k] * pressure(slips, lam, k)
         for e in range(slips.row_start[k], slips.row_start[k + 1]):
@@ -297,7 +303,10 @@ def joint_rates(links, drives, dz, vz, phi_t, rate, bias):
 
 @part
 def joint_rate_jacobian(links, drives, dz, vz, slopes):
-    """Fill slopes with d(phi_z vz + phi_t)/dz."""
+    """Overwrite slopes with the entries of d(phi_z vz + phi_t)/dz, row after row as those of phi_z.
+
+    dz, vz (points, 2): displacements and velocities of the points.
+    """
     zero(slopes)
     for p in range(links.product_row.shape[0]):
         k, e, f = links.product_row[p], links.product_first[p], links.product_second[p]

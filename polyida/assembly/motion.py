@@ -51,7 +51,7 @@ def velocity_at(model, t, q):
 
 
 def moves_at(model, t, q):
-    """True if a scene that begins at (t, q) moves: bodies have given motions, or joints move."""
+    """True if the model of a scene prescribes motion from (t, q) on: bodies have given motions, or phi_t is not zero."""
     return bool(motions_given(model).any() or (model.m and model.phi_t(t, q).any()))
 
 

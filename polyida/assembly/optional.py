@@ -62,47 +62,65 @@ def on_coupling(work, at):
 
 @part
 def law_forces(work, drives, moved, v, residual):
-    """residual -= the forces of the laws at the displacements `moved` and velocities v."""
+    """residual (nodes, 2) -= the forces of the compiled force elements at displacements of nodes `moved` and velocities v.
+
+    Returns DONE, or NOT_FINITE.
+    """
     return DONE if add_own_forces(work.laws, work.scene.links, drives, moved, v, residual) else NOT_FINITE
 
 
 @part
 def law_slopes(work, drives, dz, vz, c_v, blocks):
-    """blocks of the coupling += K + c_v C of the laws, at displacements dz and velocities vz of the points."""
+    """blocks (., 2, 2) of the coupling += K + c_v C of the compiled force elements, at displacements dz and velocities vz of the points.
+
+    Returns DONE.
+    """
     add_own_curvature(work.laws, work.scene.links.coupling, drives, dz, vz, 1.0, c_v, blocks)
     return DONE
 
 
 @part
 def law_damping(work, drives, dz, vz, moved, forces):
-    """forces of the points += C moved of the laws."""
+    """forces (points, 2) += C moved of the compiled force elements, at displacements dz, velocities vz; moved (points, 2) is the factor.
+
+    Returns DONE.
+    """
     take_damping_forces(work.laws, drives, dz, vz, moved, forces)
     return DONE
 
 
 @part
 def law_middle(work, drives, dz0, dz1, vz, half, forces):
-    """forces of the points -= those of the laws in the middle of a step from dz0 to dz1, by a discrete gradient."""
+    """forces (points, 2) -= those of the compiled force elements mid-step, dz0 to dz1, by a discrete gradient.
+
+    Returns DONE, or NOT_FINITE.
+    """
     return DONE if take_midpoint_forces(work.laws, drives, dz0, dz1, vz, half, forces) else NOT_FINITE
 
 
 @part
 def relaxing(work, still, moved, v, residual):
-    """residual += the forces of relaxation. still, 0 or 1: factor of the strain in the relaxing strains' equations."""
+    """residual (nodes, 2) += the forces of relaxation at displacements of nodes `moved` and velocities v. Returns DONE.
+
+    still, 0 or 1: factor of the strain in the equations of the relaxing strains.
+    """
     add_relaxation(work.scene, moved, None, v, float(still), residual)
     return DONE
 
 
 @part
 def relaxing_middle(work, u0, u1, um, vm, residual):
-    """residual += the forces of relaxation in the middle of a step from u0 to u1."""
+    """residual (nodes, 2) += the forces of relaxation at the middle of a step from displacements u0 to u1; um, vm: of the middle.
+
+    Returns DONE.
+    """
     add_relaxation_middle(work.scene, u0, u1, um, vm, residual)
     return DONE
 
 
 @part
 def damping(work, moved, v, elastic, residual):
-    """residual += the damping forces of bodies at the displacements `moved` and velocities v."""
+    """residual (nodes, 2) += the damping forces of bodies at displacements of nodes `moved` and velocities v. Returns DONE."""
     add_damping(work.scene, moved, v, elastic, residual)
     return DONE
 

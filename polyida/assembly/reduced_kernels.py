@@ -129,7 +129,10 @@ def push(count, first, stress, z, residual):
 
 @leaf
 def turn(bodies, body, moved, rotation):
-    """Fill rotation on a body's pairs with the vector that turns with it, (1, 0) without one; return its square, nan if moved is nan."""
+    """Overwrite rotation on the pairs of a body with the vector that turns with it; return the vector's square, nan if moved is nan.
+
+    moved (pairs, 2): displacements. The vector is (1, 0) for a body without one. rotation (pairs, 2), or (0, 2): nothing is written.
+    """
     x = y = some = 0.0
     for i in range(bodies.pair[body], bodies.pair[body + 1]):
         k = i - bodies.pair[0]

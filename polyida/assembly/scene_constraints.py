@@ -69,7 +69,7 @@ class Constraints(Model):
         return any(self.rows[body.name].start <= row < self.rows[body.name].stop for body in self.reduced_bodies if body.name in self.rows)
 
     def phi(self, t, q):
-        """Constraints, (m,): of points in m, of motors |d_A| |d_B| sin(angle error)."""
+        """phi (m,), a new array: rows of points in m, of motors |d_A| |d_B| sin(angle error), d_A and d_B the directions of both sides."""
         phi, dz = np.empty(self.m), self.dz(q)
         joints.joint_forces(self._links(dz), self.drives(t), dz, np.zeros(self.m), phi, np.zeros_like(dz))
         return phi
@@ -183,7 +183,7 @@ class Constraints(Model):
         return phi, rates
 
     def phi_rate_q(self, t, q, v):
-        """Return d(phi_q v + phi_t)/dq, (m, n), by exact differences."""
+        """Return d(phi_q v + phi_t)/dq, (m, n), by central differences, which are exact since the rate is quadratic in q."""
         return self._rates_q(t, q, v, 1)
 
     def phi_bias_q(self, t, q, v):

@@ -225,7 +225,7 @@ class SceneModel(ScaledScene, SceneEnergies, SceneModes):
             raise error
 
     def call_all(self, t, q, v):
-        """Call each function of the user once."""
+        """Call the force and energy of each own force element once at (t, q, v), and drop the results: what they raise shows early."""
         take_from(np.zeros(self.n), self.own_forces, t, q, v)
         for own in self.own_forces:
             own.energy(own.places(q), own.velocities(v))

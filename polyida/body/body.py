@@ -25,7 +25,10 @@ def require_whole(part, base, needed):
 
 
 def require_arguments(part, base, functions):
-    """Raise InputError unless the functions of its base that a part overrides take their arguments; functions: {name: letters of these}."""
+    """Raise InputError if a function that a part writes in place of that of its base class does not take the right number of arguments.
+
+    functions: {name of a function: letters of its arguments}, without self; the letters are for the message.
+    """
     for function, arguments in functions.items():
         if writes(part, base, function) and not takes(getattr(part, function), len(arguments)):
             raise InputError(f"{part.label}: {function}: its arguments must be ({', '.join(['self', *arguments])})")

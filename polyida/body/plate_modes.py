@@ -52,7 +52,7 @@ class PlateMatrices:
         return K if self.stabilisation is None else (K + kron(self.stabilisation, eye_array(2))).tocsc()
 
     def force(self, moved):
-        """Internal force (N, 2), N, at displacements (N, 2), m."""
+        """A new array (N, 2): internal force on the nodes of the plate, N, stabilisation included, at displacements `moved` (N, 2), m."""
         o, f, moved = self.operator, np.zeros_like(moved), np.ascontiguousarray(moved)
         kernels.internal_force(o.cells(), Material(*self.membrane), moved, f, np.empty((0, 2)))
         if self.stabilisation is not None:

@@ -107,7 +107,7 @@ class Groups(TyperGroup):
     """The commands in the help, each in its group."""
 
     def format_commands(self, ctx, formatter):
-        """Write a section for each group."""
+        """Write the help text of the commands to `formatter`: one section for each group, one line for each command."""
         for group in GROUPS:
             commands = [self.commands[name] for name in self.list_commands(ctx) if self.commands[name].rich_help_panel == group]
             with formatter.section(group):

@@ -416,7 +416,7 @@ class _Store:
         return np.asarray(x, float).tobytes(), (float(sharp.q), float(sharp.beta or 0.0))
 
     def get(self, x, sharp):
-        """The stored Evaluation, or None."""
+        """The stored Evaluation at variables x with Sharpness `sharp`, or None if there is none."""
         return self.known.get(self._key(x, sharp))
 
     def keep(self, x, sharp, found):

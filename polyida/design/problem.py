@@ -109,11 +109,11 @@ class Setting:
     sharp: Sharpness
 
     def sizes(self):
-        """{argument: value} of built models."""
+        """{name of an argument of the function that builds the model: value}, of the variables that are sizes."""
         return {one.name: one.value(x, self.sharp) for one, x in zip(self.maps, self.parts) if isinstance(one, BuiltSizeMap)}
 
     def model(self, case, **changed):
-        """The model of a case; changed: other values of arguments."""
+        """A new model of a load case with the densities and sizes of this setting; changed: values of arguments in place of these sizes."""
         model = case.built(self.sizes() | changed)
         for one, x in zip(self.maps, self.parts):
             model = one.applied(model, x, self.sharp)

@@ -183,7 +183,7 @@ def moduli_times(a, g):
 
 @traced(4)
 def add_stiffness(k, g, t):
-    """K[a, b] + sum_k G[k] T[a, k, b]."""
+    """The 2 x 2 matrix K[a, b] + sum_k G[k] T[a, k, b], by rows: K by rows, a vector G, T in the order of `moduli_times`."""
     return (
         k[0] + g[0] * t[0] + g[1] * t[1],
         k[1] + g[0] * t[2] + g[1] * t[3],

@@ -61,8 +61,9 @@ def last_three(change):
 
 @entry
 def relax(cells, material, moved, half, viscous_strain, nodal_force, out):
-    """Add the force of the stress -D : viscous_strain to nodal_force (N, 2), and store the strain at `moved` in out.
+    """Add the force of the stress S = -D : viscous_strain to nodal_force (N, 2), and store the strain at all points of all cells in out.
 
+    moved (N, 2): displacements of nodes, of which F, the force and the strain are taken. viscous_strain, out: at all points, by lanes.
     half: None; or half the change of moved in a step (N, 2): the strain is then the mean of those at `moved` - half and moved + half.
     """
     lam_bar, two_mu = lame(material)
@@ -102,7 +103,7 @@ def _strain(half, h, gradients, start, directions, count):
 
 @entry
 def strain_at_points(cells, moved, out):
-    """Store the strain at displacements `moved` in out, for all points of all cells."""
+    """Store the Green-Lagrange strain at displacements of nodes `moved` (N, 2) in out, for all points of all cells, by lanes."""
     work = _workspace(cells.layout, 2, 0)
     for b in range(cells.layout.shape[0]):
         m = cells.layout[b, 0] - 1
@@ -114,7 +115,7 @@ def strain_at_points(cells, moved, out):
 
 @entry
 def change_of_strain(cells, moved, along, out):
-    """Store the change of the strain at `moved` along a field (N, 2) in out."""
+    """Store in out, for all points of all cells, the change of the strain along a field (N, 2); moved (N, 2): displacements of nodes."""
     work = _workspace(cells.layout, 4, 0)
     for b in range(cells.layout.shape[0]):
         m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
@@ -151,7 +152,11 @@ def relaxation_products(cells, material, moved, along, viscous_strain, back, nod
 
 @entry
 def relax_stress(cells, lane_cells, areas, material, moved, viscous_strain, out):
-    """Add the Cauchy stress of the relaxed part, -D : viscous_strain, to out (cells, 3)."""
+    """Add the mean Cauchy stress of each cell, (xx, yy, xy), Pa, of the relaxed part S = -D : viscous_strain to out (cells, 3).
+
+    moved (N, 2): displacements of nodes. viscous_strain: at all points of all cells, by lanes. lane_cells: the cell of each lane. areas: of
+    the cells.
+    """
     lam_bar, two_mu = lame(material)
     work = _workspace(cells.layout, 2, 0)
     for b in range(cells.layout.shape[0]):

@@ -33,9 +33,10 @@ MEAN_AND_HALF = (0.5, 0.5, -0.5, 0.5)  # state = mean of the fields, direction =
 
 @entry
 def internal_force_viscous(cells, material, moved, v, nodal_force, rotation):
-    """Add elastic and viscous force at the displacements `moved` and velocities v to nodal_force; return the least det F, NaN if undefined.
+    """Add elastic and viscous force on the nodes to nodal_force; return the least det F, NaN if undefined.
 
-    rotation as in kernels.internal_force. The dissipated power is
+    moved, v, nodal_force (N, 2): displacements, velocities of nodes and forces on them. To rotation (N, 2), unless it is (0, 2), the
+    rotation vectors of the cells are added, as in kernels.internal_force. The dissipated power is
     v . (f - f(tau_v = 0)) = tau_v int t Edot : D : Edot >= 0, W.
     """
     return _force(cells, material, (material.viscosity, 0.0, 0.0), SECOND_ALONE, moved, v, nodal_force, rotation)

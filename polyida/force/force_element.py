@@ -82,7 +82,10 @@ class ForceElement(OwnPart, part=False):
         """Raise InputError unless what is special to its class is right; `Scene.add` calls it."""
 
     def sizes(self) -> ArrayLike:
-        """Return typical sizes of the states, (states,), positive; 1 by default. Tolerances of s are relative to them."""
+        """Return typical sizes of the states and then of the algebraic states, (states,), positive; ones by default.
+
+        Tolerances of s are relative to them.
+        """
         return np.ones(len(self.states) + len(self.algebraic))
 
     def start(self) -> ArrayLike:

@@ -119,7 +119,7 @@ class SpringDamper(ForceElement):
 
 
 def rotation(self, x):
-    """Rotation of the second direction relative to the first since the reference configuration, rad, -pi to pi."""
+    """Rotation, rad, -pi to pi, of direction x[1] relative to direction x[0] since the reference configuration; x (2, 2): of both sides."""
     c, s = self.rest_angle[0], self.rest_angle[1]
     ex, ey = c * x[0, 0] - s * x[0, 1], s * x[0, 0] + c * x[0, 1]
     return np.arctan2(ex * x[1, 1] - ey * x[1, 0], ex * x[1, 0] + ey * x[1, 1])

@@ -74,7 +74,11 @@ class Entry(CPUDispatcher):
         self.part, self.known = part, {}
 
     def __call__(self, *args):
-        """Call the code for these arguments. numba looks through all arrays of a pack to find it, which takes as long as a small kernel."""
+        """Return the result of the function for these arguments; the machine code for their types is compiled if there is none yet.
+
+        This code is kept by a form of the arguments that is found fast: numba looks through all arrays of a pack, which takes as long as a
+        small kernel.
+        """
         forms = tuple(map(form_of, args))
         found = self.known.get(forms)
         if found is None:

@@ -52,7 +52,10 @@ FILL = "", "fill_vector", "fill_matrix"  # by the dimensions of the result
 
 @cache
 def table_address(function, kind):
-    """The address of an entry `f(workspace, 7 numbers or addresses)` as a C function, for a type of workspaces."""
+    """The address, an integer, of a compiled entry `f(workspace, 7 numbers or addresses)` as a C function.
+
+    kind: numba type of the workspace.
+    """
     return c_address(function, types.int64(kind, *[types.int64] * (ARGUMENTS - 1)))
 
 
@@ -211,7 +214,11 @@ def argument_of(at, shape=(), of_complex=False):
 
 @cache
 def _row_function(label, function, dimensions, shape):
-    """A C function that evaluates a compiled function on each row of arrays of these dimensions."""
+    """A C function that evaluates a compiled function of numbers and vectors on row k of each of its arrays, k < count.
+
+    label: begins its name. dimensions: of each array, 1 or 2: a row is a number or a vector. shape: of the result, () for a number. Row k
+    of the array `out` of the C function, (count, size of the result), is overwritten.
+    """
     rows = [f"frozen(carray(pointer(given[{2 * k + 1}]), (count{f', given[{2 * k}]' if d > 1 else ''})))" for k, d in enumerate(dimensions)]
     check = f"if found.shape != {shape}:\n                return {WRONG_SHAPE}" if shape else ""
     store = f"{FILL[len(shape)]}(filled[k].reshape({shape}), found, 1.0)" if shape else "filled[k, 0] = found"

@@ -164,7 +164,7 @@ class Attachment:
         return Vector((Summand(((self, "direction", 1 + 0j),)),))
 
     def share(self, force: "ArrayLike") -> np.ndarray:
-        """Return the forces on the nodes, (k, 2), that a force (2,) at the point is equivalent to."""
+        """Return the forces on the k nodes of this attachment, (k, 2): of each its weight times force (2,), which acts at the point."""
         return np.outer(self.weights, np.asarray(force, float))
 
     def each(self) -> list["Attachment"]:

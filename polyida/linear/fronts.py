@@ -152,7 +152,10 @@ def subtract_two(front, top, row):
 
 @part
 def finish(front, row):
-    """Turn rows row and row + 1, of a node, into rows of U, with D on the diagonal. False if a pivot is zero or not finite."""
+    """Turn rows row and row + 1 of front, in place, into rows of U with D on the diagonal; False if a pivot is zero or not finite.
+
+    Both rows are of one node. All rows above them must have been subtracted. Only the upper triangle is read and written.
+    """
     x, y = front[row, row:], front[row + 1, row:]
     if not 0.0 < abs(x[0]) < np.inf:
         return False

@@ -25,14 +25,15 @@ SCALINGS = ("none", "bottasso", "physical")
 
 
 def typical(matrix):
-    """The mean size of the diagonal; 1 if that is 0."""
+    """The mean absolute value of the diagonal of a matrix; 1 if that is 0."""
     return float(np.mean(np.abs(matrix.diagonal()))) or 1.0
 
 
 def scaling_size(kind, step_square, tangent):
-    """The divisor of rows of r and unit of multipliers for beta h^2 = `step_square`; phi and q keep their units.
+    """The number by which rows of r are divided, which is also the unit of the multipliers; phi and q keep their units.
 
-    Bottasso, Dopico, Trainelli 2008: 1 / (beta h^2). Physical (Bauchau, Epple, Bottasso 2009): the same times
+    kind: name of the scaling; "none" gives 1. step_square: beta h^2. tangent: the step matrix S.
+    "bottasso" (Bottasso, Dopico, Trainelli 2008): 1 / (beta h^2). Any other, physical (Bauchau, Epple, Bottasso 2009): 1 / (beta h^2) times
     s = m_r + gamma h d_r + beta h^2 k_r, of typical mass, damping and stiffness: the mean of the diagonal of S.
     """
     return {"none": 1.0, "bottasso": 1.0 / step_square}.get(kind) or typical(tangent)

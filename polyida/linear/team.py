@@ -94,7 +94,10 @@ def serve(fronts, panels, vector, team, who):
 
 @part
 def gather(fronts, panels, vector, team, who, work):
-    """The forward half on the fronts of thread `who`; contributions to the top are stored in late."""
+    """The forward half of `vector <- S^-1 vector`, in place, on the fronts of thread `who` that are not at the top; work: scratch.
+
+    Contributions to nodes of the top are overwritten in team.late[who]; thread 0 adds its own to vector at once.
+    """
     late, at = team.late[who], 0
     for f in range(team.cuts[who], team.cuts[who + 1]):
         if team.top[f]:
@@ -119,7 +122,7 @@ def gather(fronts, panels, vector, team, who, work):
 
 @part
 def scatter(fronts, panels, vector, team, who, work):
-    """The backward half on the fronts of thread `who`."""
+    """The backward half of `vector <- S^-1 vector`, in place, on the fronts of thread `who` that are not at the top; work: scratch."""
     for f in range(team.cuts[who + 1] - 1, team.cuts[who] - 1, -1):
         if not team.top[f]:
             ascend(fronts, panels, vector, work, f)

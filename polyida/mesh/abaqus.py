@@ -203,7 +203,10 @@ class _File:
         self.scope = self.assembly = Assembly()
 
     def take_instance(self, options, rows):
-        """*INSTANCE: open a copy of a part; its rows place it when it ends."""
+        """*INSTANCE: open a copy of a part as the current scope; rows are kept and place it at *END INSTANCE.
+
+        Raises InputError for a wrong one.
+        """
         name, part = options.get("NAME", ""), options.get("PART", "")
         if self.assembly is None:
             raise InputError("it stands outside of *ASSEMBLY")

@@ -108,7 +108,10 @@ class Assembly:
             self.sets.setdefault(name.upper(), (name, {}))[1].update(dict.fromkeys(nodes))
 
     def take_elset(self, options, rows):
-        """*ELSET: elements of instances; the nodes of lines and points among them become a set of nodes too."""
+        """*ELSET: add elements of instances to the set of this name.
+
+        The nodes of lines and points among them are added to a set of nodes too.
+        """
         name = options.get("ELSET", "")
         what = f"set {name!r}"
         if "INSTANCE" in options:

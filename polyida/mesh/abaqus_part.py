@@ -243,7 +243,7 @@ class Part:
     # --- nodes and elements
 
     def _add_node(self, label, place):
-        """Append a node of a number `label`. Raises InputError if the number is taken."""
+        """Append a node with the number `label` of the file at `place`, its coordinates. Raises InputError if the number is taken."""
         if label in self.places:
             raise InputError(f"node {label} is given twice")
         self.places[label] = len(self.points)

@@ -201,7 +201,7 @@ def overlapping_cells(mesh):
     round_off = 8 * np.finfo(float).eps * np.abs(mesh.points).max()
 
     def owner(edge):
-        """Number of the cell that has a directed edge, (2,) nodes."""
+        """Number of the first cell of the mesh that has the directed edge (2,), from its first node to its second."""
         return int(topology.corner_cells(mesh.offsets)[np.argmax((all_edges == edge).all(axis=1))])
 
     def separated(a, b, depth):

@@ -419,7 +419,7 @@ class Moved(Domain):
     """A domain translated by an offset (2,), m."""
 
     def __init__(self, domain, offset):
-        """Move the bounding box and the walls of a domain by an offset."""
+        """Make a domain that is a copy of `domain`, shifted by offset (2,): bounding box and walls. The original does not change."""
         self.domain = domain
         self.offset = offset
         self.convex = domain.convex

@@ -109,7 +109,7 @@ def _divided(mesh, chosen):
 
 
 def remeshed(mesh, cells):
-    """A new mesh of about `cells` equal cells with the outline and the sections of a mesh."""
+    """A new polygonal mesh of about `cells` cells of equal size, with outline, sections and order (1 or 2) of `mesh`."""
     if mesh.order == 2:
         return remeshed(mesh.linear, cells).quadratic
     outer, *holes = outline_of(mesh)

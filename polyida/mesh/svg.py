@@ -84,7 +84,10 @@ class _Page:
     """The outermost viewport: its size in pixels and the place of the user units in it."""
 
     def __init__(self, root):
-        """Read size, unit and viewBox of the root element. Raises InputError for a page without width or height."""
+        """Store height, inner size, scale and shift of the page, and metres per unit, from the root element of an SVG file.
+
+        metres is None if width and height have no absolute unit. Raises InputError for a page without width or height.
+        """
         _style_as_attributes(root)
         sizes = {name: LENGTH.fullmatch(root.get(name, "").strip()) for name in ("width", "height")}
         units = {name: found[2].lower() for name, found in sizes.items() if found}

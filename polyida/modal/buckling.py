@@ -79,7 +79,7 @@ class Buckling:
         return f"mode {number + 1}: factor {self.factors[number]:.5g}{limit}"
 
     def summary(self) -> str:
-        """Return a text with a line for each factor."""
+        """Return a text: a line with their number and the state, then one line for each buckling factor."""
         head = f"{len(self.factors)} buckling factors of {type(self.model).__name__} about t = {self.state.t:.6g} s"
         return "\n".join([head] + [self.title(k) for k in range(len(self.factors))])
 

@@ -238,7 +238,10 @@ def times_of(model):
 
 
 def first_order(system):
-    """(A, T, S): `(z', z'', y')= A (z, z', y)` of places T z, T (n, d), and of first-order states with velocities S y."""
+    """(A, T, S) of the small motions of a system: `(z', z'', y') = A (z, z', y)`, A (2 d + e, 2 d + e).
+
+    T (n, d): basis of places, x = T z. S (n, e): basis of first-order states, whose velocities are S y.
+    """
     T = system.whole(system.with_states_held().basis)
     S, _, _ = state_basis(system, T)
     d, both = T.shape[1], np.hstack([T, S])

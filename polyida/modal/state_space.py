@@ -163,7 +163,10 @@ def _output(part, model, state, output, label):
 
 
 def _place(model, state, what, kind, label):
-    """The Output of x and y of a point's place, velocity or acceleration."""
+    """The Output with two components, x and y, of the place, velocity or acceleration of a named point `what`, about a state.
+
+    kind: "position", "velocity" or "acceleration". label: begins the names of both components, by default what and kind.
+    """
     model.position(what, state.q[None])
     name = label or (f"{what} {kind}" if kind != "position" else f"{what}")
     far = 1e3 * (model.extent or 1e-3)  # places of a scene are linear in q: far steps have the least round-off
@@ -431,7 +434,10 @@ def frequency_response(
 
 
 def _look(outputs, solve, omega):
-    """Complex amplitudes of the outputs at the angular frequency omega, (outputs,); inf at an undamped resonance."""
+    """Complex amplitudes (outputs,) of the Outputs at the angular frequency omega, rad/s; inf at an undamped resonance.
+
+    solve(omega): (x (n,), mu (m,)), the complex amplitudes of q and lam.
+    """
     try:
         x, mu = (column[:, None] for column in solve(omega))
     except (SingularSystem, np.linalg.LinAlgError):
@@ -447,7 +453,7 @@ def _modal(system, pushed, modes):
     K_y, C_y = T.T @ (system.K @ T), T.T @ (C @ T)
 
     def solve(omega):
-        """(x (n,), mu (m,)), complex amplitudes of q and lam at the angular frequency omega, rad/s."""
+        """(x (n,), mu (m,)): complex amplitudes of changes of q and lam due to the input at the angular frequency omega, rad/s."""
         matrix = K_y + 1j * omega * C_y - omega**2 * np.eye(len(K_y))
         x = G + T @ np.linalg.solve(matrix, T.T @ (pushed.force - system.K @ G - 1j * omega * (C @ G)))
         return x, of.accelerations(x, 1j * omega * x, pushed.force, -(omega**2) * pushed.row)[1]

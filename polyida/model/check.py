@@ -107,7 +107,7 @@ def _wrong_slope(energy, random):
 
 
 def require_declared(model, t, q, v, t_end=None):
-    """Raise InputError for a wrong or not finite value at (t, q, v), for wrong `needs`, and for a wrong derivative of phi that is written.
+    """Raise InputError if a value at (t, q, v) is wrong or not finite, or if `needs` or a derivative of phi that the model writes is wrong.
 
     Needs and derivatives are compared at two random states near q and v (n,), at times between t and t_end. Values that are not finite
     there, exceptions, and derivatives whose differences with different steps disagree, as beside a kink, are ignored. Of velocity rows

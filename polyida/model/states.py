@@ -237,7 +237,11 @@ class OwnStates:
     """
 
     def __init__(self, name, user, n, written):
-        """Read the states of a user's model of n coordinates. written: names of the functions that it gives. Raises InputError."""
+        """Store numbers k of states, start values and sizes of the states of a user's model of n coordinates, and a typical mass.
+
+        name: of its class. user: the model. written: names of the functions that it gives. The mass is the mean diagonal of M at q = 0, or
+        1. Raises InputError for a wrong number, or for functions that a model with states cannot have or that do not take the states.
+        """
         self.n, k, algebraic = n, user.k, user.algebraic
         if not (is_whole(k, 0) and is_whole(algebraic, 0) and k + algebraic > 0):
             given = f"k = {k!r} and algebraic = {algebraic!r}" if algebraic else f"k = {k!r}"

@@ -371,7 +371,10 @@ class UserObjective(Objective):
         return float(result)
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
-        """Return a function of a slice of frames that returns the rows of the user's slopes."""
+        """Call the user's slopes with the run; return a function of a slice of frames that returns the Slopes of these frames.
+
+        Slopes in parameters come only with the slice that has the last frame.
+        """
         run = run_of("UserObjective", run)
         result = _call("slopes", self._slopes, run)
         if not isinstance(result, Mapping):

@@ -125,7 +125,10 @@ class CellStress:
     """The stress of the cells of a body at displacements u (nodes, 2) of all meshes."""
 
     def __init__(self, body, power=1.0):
-        """Take the moduli of a body and the share of its cells' factors."""
+        """Store the moduli of a plate in its plane, and `share` (cells,), by which the von Mises stress is multiplied.
+
+        share: the stiffness factors of the cells to the power `power - 1`. body: the plate in a model.
+        """
         modulus, nu = body.plate.material.in_plane
         self.power = power
         self.share = body.factors[0] ** (power - 1.0)
@@ -187,11 +190,14 @@ class StrainEnergy(TimeMean):
         return replace(self, plate=named(model, self.plate))
 
     def _evaluator(self, model, span):
-        """The function of Frames that gives the strain energies and the way back to Slopes."""
+        """A function of Frames that returns a pair of functions: one gives the strain energies, and to_slopes the Slopes.
+
+        The first takes no argument and gives an array; the second takes dJ/d(strain energy) of the frames, (count,). span: unused.
+        """
         elastic = Elastic(model, chosen("StrainEnergy", model, self.plate, deforming(model)))
 
         def evaluate(frames):
-            """Strain energies of the frames, and the function to Slopes."""
+            """(function without arguments that gives the strain energies of the frames, function to_slopes)."""
 
             def to_slopes(factor):
                 """The Slopes of J, from dJ/d(strain energy) of the frames, (count,)."""

@@ -287,7 +287,7 @@ def relative(s: NDArray, mean: float) -> NDArray:
 
 
 def power(part, p):
-    """The order of a mean as a float. Raises InputError, in the name of `part`, unless it is a number of 1 or more."""
+    """The order p of a mean as a float. Raises InputError, with the name `part` in its message, unless p is a number of 1 or more."""
     if not (is_number(p) and p >= 1):
         raise InputError(f"{part}: p = {p!r:.100} must be a number of 1 or more, such as 8")
     return float(p)

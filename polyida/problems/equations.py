@@ -60,7 +60,7 @@ class Pendulum(Model):
         return slopes[name]
 
     def phi_p(self, name, t, q):
-        """Derivative of phi in the parameter of that name, (1,)."""
+        """Derivative of phi at q in the parameter of that name, (1,); zero for every parameter but "length"."""
         return np.array([-(q @ q + self.length**2) / (2 * self.length**2) if name == "length" else 0.0])
 
     def potential(self, q):

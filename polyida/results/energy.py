@@ -82,7 +82,7 @@ class _Powers:
         self.names = list(self.model.powers(float(motion.t[0]), *(np.asarray(x[0], float) for x in (motion.q, motion.v, motion.lam))))
 
     def __call__(self, t, q, v, lam):
-        """Powers, (names,), W, at a state; 0 for a name that has none there."""
+        """Powers of the model at a state, W, in the order of self.names, (names,); 0 for a name that has none there."""
         powers = self.model.powers(t, q, v, lam)
         return np.array([powers.get(name, 0.0) for name in self.names])
 

@@ -165,7 +165,7 @@ class AcceptedStates:
             self.stop(told, "half-turn")
 
     def stop(self, reason, status="integrator"):
-        """Raise StepFailure for a reason, with the time of the last valid state."""
+        """Raise StepFailure with this status, the time of the last accepted state, and a message with the method's name and the reason."""
         raise StepFailure(status, f"{self.name}: {reason}; the last good state is", self.before.t)
 
     def _wrong_count(self):

@@ -236,11 +236,15 @@ class EventHandler(EventSearch):
         return after, equations.spread(jump, mode.m), impulses
 
     def _name(self, part):
-        """Name of a part that is given by its name or itself."""
+        """Name of a part in the scene of this run; part: its name, which is returned, or itself."""
         return part if isinstance(part, str) else next(name for name, known in self.whole.parts.items() if known is part)
 
     def _given(self, label, value, q, v, model):
-        """(q, v, number of the model) that a function of the user's gave. Raises InputError for a wrong one."""
+        """(q, v, number of the model) after an event, from the value that a user's function returned. Raises InputError for a wrong one.
+
+        value: velocities, a State, a model, or None. What it does not give is kept: q, v and the number `model` before the event. A model
+        that is new is added to those of the run. label: begins the message.
+        """
         if value is None:
             return q, v, model
         if isinstance(value, Model):

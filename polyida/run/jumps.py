@@ -42,7 +42,10 @@ class Jumps:
             raise StepFailure(JUMP_IN_V, found, last.t, rejected=self.counts.rejected)
 
     def found(self, state):
-        """A message if the forces jump with the velocity near a state; otherwise an empty text."""
+        """A message if the forces jump as a function of the velocity near a State; otherwise an empty text.
+
+        Forces are compared along one random direction of velocities, by bisection of the interval with the largest change.
+        """
         if not (self.speed and self.model.needs.velocity_forces):
             return ""
         width = NEAR * self.speed * np.random.default_rng(0).standard_normal(len(state.v))

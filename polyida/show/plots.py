@@ -276,7 +276,7 @@ def _drift_label(run, name):
 
 
 def label_of(label, run):
-    """The label of a run in a legend: shortened, and of a run that failed with the time."""
+    """The text of a run in a legend: its label, shortened, and in brackets how it ended if it failed, with the time."""
     ended = ending(run)
     return literal(cut(label, LONGEST_NAME) + (f" ({ended})" if ended else ""))
 

@@ -150,7 +150,10 @@ def marker_style(i: int) -> dict:
 
 
 def hollow_markers(i: int, count: int) -> dict:
-    """Hollow markers for the i-th of `count` lines that may coincide: the first markers are the largest, so all lines stay visible."""
+    """Return keyword arguments of `plot`, {name: value}, for hollow markers of the i-th (from 0) of `count` lines that may coincide.
+
+    The first markers are the largest, so all lines stay visible.
+    """
     return {
         "marker": MARKERS[i % len(MARKERS)],
         "markersize": 2.5 + min(2.2, 8 / count) * (count - 1 - i),

@@ -183,7 +183,10 @@ def energy(
 
 
 def _energy_row(run, indices):
-    """(row, history) of a run: energy error, changes of momentum and angular momentum; NaN where the model has none."""
+    """(row, history) of a run: {name: number} of the energy error and of the largest changes of momentum, and {name: array}.
+
+    history: t and energies and angular momentum in the frames with these indices. NaN where the model does not define momentum.
+    """
     energies, error = run.energy, unbalanced(run)
     size, drift = float(np.ptp(energies.kinetic)), float(np.abs(error).max())
     row = {"energy_change": float(error[-1]), "energy_drift": drift, "relative_drift": drift / size if size else np.nan}

@@ -250,7 +250,7 @@ def settings_text(integrator, others, used=None):
             acted[name] = value
 
     def text(names):
-        """The settings of these names, and the tolerances that acted, as a text "h=0.001, rtol=1e-05"."""
+        """A text "h=0.001, rtol=1e-05" of the settings of these names with their values in the run, and of the tolerances that acted."""
         shown = {name: values[name] for name in names} | acted
         return ", ".join(f"{name}={number_text(value)}" for name, value in shown.items())
 

@@ -74,7 +74,10 @@ class KeptEnds:
         return self.ends.get(name)
 
     def __setitem__(self, name, end):
-        """Keep the End of a run. Raises InputError if the file cannot be written."""
+        """Keep the End of a run under a name, in place of an earlier one, and write all kept Ends to the file, if there is a path.
+
+        Raises InputError if that fails.
+        """
         self.ends[name] = end
         if self.path is None:
             return

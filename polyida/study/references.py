@@ -127,9 +127,10 @@ def full_run(model, t_end, integrator, q0=None, v0=None, progress=None, **frames
 
 
 def _consistent(run):
-    """A run with a and lam of the equations of motion: those of frames within steps are linear over the step.
+    """A copy of a run whose a and lam are computed from the equations of motion at t, q and v of each frame but the last.
 
-    They are evaluated just before each time, for steps end where loads jump. At the end they are the run's own.
+    The run's own are only linear over a step in frames within steps. The equations are evaluated just before the time of the frame, for
+    steps end where loads jump. The last frame keeps the run's own.
     """
     model, a, lam = guard(run.model), np.array(run.a), np.array(run.lam)
     for k in range(len(run) - 1):

@@ -64,7 +64,7 @@ def _typed(spec, argument, text):
 
 
 def _read(kind, text):
-    """A text as a value of the type `kind`; None if it is no such value."""
+    """The value of the type `kind` (bool, int, float or str) that a text stands for; None if it stands for none."""
     if kind is bool:
         return TRUTHS.get(text.lower())
     try:

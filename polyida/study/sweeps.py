@@ -107,7 +107,10 @@ class Sweep(Result):
         return {"sweep": (f"{y} of each case against {x}.", lambda axes: self.plot(x, y, axes))} if x and y else {}
 
     def _first_numbers(self):
-        """The first numeric columns of the cases and of the results, None if there is none."""
+        """[name of the first varied column, name of the first column of results] with a number in some row.
+
+        None stands for one that is missing.
+        """
         results = [name for name in self.columns if name not in self.varied and name not in RESERVED]
         numeric = [[name for name in names if any(is_number(row.get(name)) for row in self.rows)] for names in (self.varied, results)]
         return [next(iter(names), None) for names in numeric]

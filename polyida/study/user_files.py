@@ -66,7 +66,7 @@ def run_file(path):
 
 
 def _require_text(path):
-    """Raise InputError unless a file is text of Python, in UTF-8 or in the encoding that it names."""
+    """Raise InputError unless the file at path is text, without NUL, in UTF-8 or in the encoding that its Python comment names."""
     try:
         text = importlib.util.decode_source(path.read_bytes())
     except (SyntaxError, UnicodeError) as error:

@@ -29,13 +29,19 @@ def listed(part, name, value):
 
 
 def rows_of(part, name, value):
-    """The rows of a matrix of expressions. Raises InputError."""
+    """The rows of a matrix, or of a list of lists, of expressions, as a list of lists.
+
+    Raises InputError, with part and name in its message.
+    """
     rows = value.tolist() if isinstance(value, sp.MatrixBase) else entries(part, name, value)
     return [listed(part, f"{name}[{k}]", row) for k, row in enumerate(rows)]
 
 
 def expression_of(part, name, value):
-    """A sympy expression; the left side less the right one of an equation. Raises InputError."""
+    """`value` as a sympy expression: of an equation its left side less the right one.
+
+    Raises InputError, with part and name in its message, unless it is real and finite.
+    """
     try:
         expression = sp.sympify(value, strict=True)
     except (sp.SympifyError, TypeError):

@@ -70,7 +70,10 @@ def _of_kane(method, values, compiled):
 
 
 def _speeds(method, u, rates):
-    """The speeds in terms of q', from the kinematic equations `k_ku u + k_kqdot q' + f_k = 0`."""
+    """A list of expressions: the speeds u in terms of `rates` = q', from the kinematic equations `k_ku u + k_kqdot q' + f_k = 0`.
+
+    method: a KanesMethod, which has these equations. u: its speeds.
+    """
     k_ku, others = method._k_ku_implicit, method._k_kqdot_implicit * sp.Matrix(rates) + method._f_k_implicit
     if k_ku.is_diagonal():
         return [-one / k_ku[k, k] for k, one in enumerate(others)]

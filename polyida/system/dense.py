@@ -182,7 +182,10 @@ def five_states(work, at):
 
 @part
 def evaluate(work, function, time, out):
-    """Call a function of the model at work.t[time], work.q, work.v, work.a, work.lam, unless one failed since `set_state`. Returns the status."""
+    """Call function number `function` of the model at work.t[time], work.q, work.v, work.a, work.lam; it writes its result to `out`.
+
+    Nothing is called if one failed since `set_state`. Returns the status, which work.flags keeps.
+    """
     if work.flags[ENDED] == DONE:
         t = address(work.t) + 8 * time
         work.flags[ENDED] = call(work.functions[function], (work.data, 0, t, work.q, work.v, work.a, work.lam, out))

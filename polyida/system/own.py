@@ -381,7 +381,10 @@ def small_own(model):
 
 
 def small_table(model, incremental=False):
-    """The table of a model that is solved with dense matrices; None for other models."""
+    """A DenseTable of a user's model that is small enough for dense matrices; None for other models.
+
+    incremental: passed on to the table.
+    """
     if not small_own(model):
         return None
     return DenseTable(model, incremental)

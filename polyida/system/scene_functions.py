@@ -267,7 +267,11 @@ new_slopes = served(take_new_slopes, None, None)
 
 @part
 def solve(work, instant, moved, lam, residual, phi, dq, dlam):
-    """Fill dq and dlam of one Newton correction: `S dq + B^T dlam = -residual`, `B dq = -phi`."""
+    """Overwrite dq and dlam with one Newton correction, `S dq + B^T dlam = -residual`, `B dq = -phi`; return DONE, or SINGULAR.
+
+    The factors are those in work. moved: displacements of nodes at the trial state; lam: its multipliers. Strains of viscoelastic
+    plates are eliminated before, and recovered in dq after it.
+    """
     strains, condensed = work.real.workspace.elimination, work.condensed.calls[WORKSPACE] != 0
     right = residual if condensed else eliminate(strains, moved, residual)
     regular = factors.solve(work, work.real, instant, right, phi, lam, dq, dlam)

@@ -129,7 +129,10 @@ class Steps:
         return step.Method(h=h, incremental=self.incremental, **family, **newton, **errors, **model)
 
     def _limit_stretch(self, memory):
-        """Take the length of the next stretch of a model with switches from a state's memory."""
+        """Set `longest`, the most steps of the next stretch, from the entry "stretch" of a State's memory.
+
+        It is 1 without this entry. A model without switches keeps what it has.
+        """
         if self.model.switching:
             self.longest = min(int(memory.get("stretch", 1)), INSTANTS)
 

@@ -32,7 +32,10 @@ def products(M, v):
 
 
 def doubled_energies(M, v):
-    """`v^T M v` of velocities (k, n), as `products` has it."""
+    """`v_i^T M v_i` for each row of v (k, n), (k,): twice the kinetic energies.
+
+    Each is the same to the last bit whatever the other rows are.
+    """
     return (v[:, None, :] @ products(M, v)[:, :, None])[:, 0, 0]
 
 

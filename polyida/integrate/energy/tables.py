@@ -110,7 +110,7 @@ class DenseOwn(MiddleTable, DenseTable):
     names, entries = OF_ENERGY, (MIDDLE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT)
 
     def __init__(self, model):
-        """Choose the entries; compiled models without drives have consistent accelerations too."""
+        """Make the table of a user's model and choose its entries; compiled models without drives get the entry ACCELERATION too."""
         super().__init__(model)
         self.complete = model.by_numba and not model.needs.driven
         if self.complete:

@@ -144,7 +144,10 @@ class IDA(Integrator):
             raise InputError(f"IDA: ida_rtol {self.ida_rtol} stands beside rtol {self.rtol}: give what is asked or what is passed")
 
     def relative(self, model: Model, sizes: NDArray) -> float:
-        """What is asked, rtol, or its default in a run of these sizes, (length, speed, time, lengths), or that which ida_rtol stands for."""
+        """The relative tolerance that a run asks for: rtol if it is given, or that which ida_rtol stands for, or else a default.
+
+        sizes: (length, speed, time, lengths) of the run; the default depends on the last one, the number of lengths that it moves.
+        """
         if self.ida_rtol is not None:
             return self.ida_rtol ** (1 / self._strictness(model))
         most = FLEXIBLE_LENGTHS if model.flexible else LENGTHS

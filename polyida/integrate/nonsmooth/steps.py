@@ -321,7 +321,7 @@ class Steps:
         return self._accepted(t, q, v, a, contacts.all_multipliers(theta * lam, p), {"a_alg": a, "closed": closed, "p": p} | impacts)
 
     def _accepted(self, t, q, v, a, lam, memory):
-        """The State, unless the model rejects it. Raises StepFailure."""
+        """The State of these values. Raises StepFailure if the model gives a reason to reject q at t."""
         if objection := self.model.rejection_reason(t, q):
             raise StepFailure("objection", objection, t)
         return State(t, q, v, a, lam, memory)

@@ -99,7 +99,7 @@ def record(count, stages, n, m, tied):
 
 @part
 def step_of_level(first, level):
-    """The step of a level, s: first 2^(level/2)."""
+    """The step of a level, s: `first 2^(level/2)`, with first the step of level 0."""
     return first * 2.0 ** (level / LEVELS_PER_DOUBLING)
 
 
@@ -117,7 +117,7 @@ def next_level(level, error, order):
 
 @part
 def level_within(first, level, most):
-    """The level, or if its step exceeds `most` the highest level whose step does not."""
+    """`level`, or if its step exceeds the length `most`, s, the highest level whose step does not. first: step of level 0, s."""
     if step_of_level(first, level) > most * (1.0 + 1e-9):
         return np.floor(LEVELS_PER_DOUBLING * np.log2(most / first) + 1e-9)
     return level
@@ -144,7 +144,10 @@ def next_step(t, end, h, last):
 
 @entry
 def cut(first, level, h):
-    """The level after a failed step of h."""
+    """The level after a failed step of length h: the highest of at most `level` whose step does not exceed h, less CUT levels.
+
+    first: step of level 0.
+    """
     return level_within(first, level, h) - CUT
 
 
@@ -267,7 +270,7 @@ def attempt(functions, workspace, first, method, arrays, now, fresh):
 
 @part
 def record_step(log, number, target, level, arrays):
-    """Write a step to the record."""
+    """Write step `number`, with its end `target`, its level and the numbers in arrays, to row `number` of the Record log."""
     memory, trial, work = arrays.memory, arrays.trial, arrays.work
     log.t[number], log.level[number] = target, level
     put(1.0, work.q, log.q[number])
@@ -289,9 +292,10 @@ def record_step(log, number, target, level, arrays):
 
 @part
 def choose_step(control, memory, log, taken, counts):
-    """Set STEP and TARGET of the next attempt. Returns DONE, or STEP_TOO_SHORT or TOO_MANY_STEPS of adaptive steps.
+    """Set STEP and TARGET, and LEVEL of adaptive steps, in control.now for the next attempt; return a status.
 
-    taken: steps of the stretch so far.
+    It is DONE, or of adaptive steps STEP_TOO_SHORT or TOO_MANY_STEPS. Fixed steps have control.h and end at log.t[taken]. taken: steps of
+    the stretch so far. memory: has the length of the last step. counts: of the stretch, with REJECTED.
     """
     now, begin = control.now, control.now[TIME]
     if not control.adaptive:
@@ -366,5 +370,8 @@ def take_steps(functions, workspace, first, method, arrays, control, fresh, log)
 
 @part
 def make_factors(model, at, tableau, memory, work, slot):
-    """Make the factors of a slot at the state in `memory`, for the step of the last attempt. Returns a status."""
+    """Make the model's factors in this slot, at instant `at` and the state q, v, a, lam in `memory`, for the step of the last attempt.
+
+    Returns a status.
+    """
     return ask.matrices(model, at, memory.q, memory.v, memory.a, memory.lam, slot, selected(tableau, work))

@@ -140,7 +140,10 @@ class RadauIIA(Integrator):
         return self if self.adaptive else replace(self, max_halvings=0)
 
     def settings_used(self, memory: dict) -> dict:
-        """{setting: value} of a run, with the rtol and atol that step control used; memory: of a state of the run."""
+        """{name of a setting: value} of a run, with the rtol and atol that step control used.
+
+        memory: the `memory` of a State of the run.
+        """
         used = super().settings_used(memory)
         if self.adaptive and "sizes" in memory:
             used |= {"rtol": float(self.relative(memory["sizes"])), "atol": float(self.absolute(memory["sizes"]))}
