@@ -108,7 +108,7 @@ def _warn_of_locking(name, plate):
             f"{name}: nu = {material.nu:g} in plane strain with {plate.element} elements of {corners:.2g} corners: they lock, bending comes "
             'out much too stiff; use element="virtual" on quadrilaterals or polygons, or order=2, which do not',
             LockingWarning,
-            stacklevel=5,
+            stacklevel=6,  # the line that calls Scene.build
         )
         return
     stiffness = bending_stiffness(plate)
@@ -117,7 +117,7 @@ def _warn_of_locking(name, plate):
         if plate.order == 2:
             remedy = "so long curved sides; use more cells along it, or straight sides: mesh.linear with order=2"
         so = f"{stiffness:.2g} times as stiff" if stiffness > 1.0 else f"{1.0 / stiffness:.2g} times as soft"
-        warnings.warn(f"{name}: this thin plate bends about {so} as it should with {remedy}", LockingWarning, stacklevel=5)
+        warnings.warn(f"{name}: this thin plate bends about {so} as it should with {remedy}", LockingWarning, stacklevel=6)
 
 
 def extent_of(bodies):

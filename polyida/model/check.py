@@ -205,8 +205,9 @@ def _require_needs(model, times, q, v, random):
 
         zeros = np.zeros(model.velocity_rows.size)
         promises.append(Promise("driven", "psi", "is not zero at v = 0", [lambda: zeros, psi_at_zero_velocity]))
+    needs = model.needs
     for need, function, how, calls in promises:
-        if not getattr(model.needs, need) and (change := _change(calls)) is not None:
+        if not getattr(needs, need) and (change := _change(calls)) is not None:
             raise InputError(
                 f"{model.name}.{function} {how}, an entry by {change:.3g}, though its needs promise {need}=False: "
                 f"its needs must say {need}=True, or {function} must not change"
