@@ -88,7 +88,7 @@ class ForceFunction:
         return float(along(force)[0])
 
     def back(self, state, c):
-        """(c g_q, c g_v, model, its entries for parameters) at a state."""
+        """(c g_q, c g_v, the mode, its entries for parameters) at a state, g of the multipliers lam that belong to consistent accelerations."""
         adjoints = None, c * self._weights(state)[self.mode.columns]
         of_q, of_v, entries = pulled_back(self.mode, state, lambda model, q, v: consistent_acceleration(model, state.t, q, v), adjoints)
         return of_q, of_v, self.mode, entries

@@ -228,7 +228,7 @@ class Elastic(OwnForce):
         return -pairs_of(self._call("elastic", (len(x),), x @ (1, 1j), numbers=complexes))
 
     def conservative(self, t, x):
-        """Its forces: they must be the negative gradient of energy(z)."""
+        """The body's elastic forces at the coordinates x (pairs, 2), which must be the negative gradient of its energy; they depend on x alone."""
         return self.forces(t, x, x)
 
     def energy(self, x, v=None):

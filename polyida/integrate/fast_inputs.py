@@ -115,7 +115,7 @@ def _range_ahead(values):
 
 
 def _too_fast(x, values, value_range):
-    """True for each cell, values (cells, samples), that is too fast for one step."""
+    """True for each cell of values (cells, samples) whose input x leaves its chord, or turns if it is an angle, by too much for one step."""
     at = np.linspace(0.0, 1.0, values.shape[1])
     chord = values[:, :1] + (values[:, -1:] - values[:, :1]) * at
     curved = np.abs(values - chord).max(axis=1) > CURVED * value_range

@@ -90,7 +90,10 @@ def matrices(work, instant, moved, v, a, lam, slot, eigenvalues):
 
 @shared
 def factor_mode(factors, stored, mode, eigenvalue, rotation, slot):
-    """Factor S of a mode with the blocks at hand, and store it. False if it is singular; True without a mode."""
+    """Factor S = K + eigenvalue^2 M of a mode from the blocks `factors`, with its columns of the constraints, and store it at `slot`.
+
+    Returns False if S is singular; True without a mode.
+    """
     if mode is None:
         return True
     s = mode.factored
